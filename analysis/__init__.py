@@ -1,0 +1,1 @@
+"""From radiance to BRDF samples, models, fits and a report."""

@@ -1,0 +1,1 @@
+"""From plan to verified frames on disk, and from frames to radiance."""

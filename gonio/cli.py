@@ -1,0 +1,125 @@
+"""The `gonio` command: finds the sub-command, runs it, turns errors into one line and an exit code.
+
+Only the standard library is imported here; a command's module, and the heavy libraries behind it, are imported when
+that command runs, so that `gonio --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from typing import TYPE_CHECKING
+
+from rig.errors import GonioError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
+COMMANDS: dict[str, str] = {
+    "demo": "the whole chain on the twin, with a report",
+    "sim": "the twin of the rig, for any client",
+    "rig": "the machine: check, move, park, stop",
+    "plan": "poses to a TOML plan: grids, sweeps, lists",
+    "capture": "run a plan into a session, or resume one",
+    "merge": "RAW brackets to radiance with variance",
+    "reduce": "a session to BRDF samples with uncertainty",
+    "fit": "reflectance models to samples of any laboratory",
+    "report": "a session's page: coverage, lobes, parameters",
+    "bench": "time against error, from a checkout",
+}
+"""Sub-commands and their one-line help; `gonio.commands.<name>` implements each."""
+
+EXIT_INTERRUPTED = 130
+
+
+def _command_module(name: str) -> ModuleType:
+    return importlib.import_module(f"gonio.commands.{name}")
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: gonio COMMAND [options]",
+            "",
+            "Measures how a surface reflects light: drives the rig, merges, reduces, fits, reports.",
+            "",
+            *lines,
+            "",
+            "gonio COMMAND --help shows a command's options with an example; --version the version.",
+        ]
+    )
+
+
+def _parser(name: str, module: ModuleType) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"gonio {name}",
+        description=module.__doc__,
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.configure(parser)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one `gonio` command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments after the program's name; by default those of the process.
+
+    Returns
+    -------
+    int
+        The exit code: 0 done, 2 bad input, 3 refused, 4 device lost, 5 unsafe, 130 Ctrl-C, 143 SIGTERM.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in {"-h", "--help", "help"}:
+        print(_overview())
+        return 0
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"gonio {version('gonio')}")
+        return 0
+    name, *rest = arguments
+    if name not in COMMANDS:
+        print(f"gonio: unknown command '{name}'; gonio --help lists the commands", file=sys.stderr)
+        return 2
+    try:
+        module = _command_module(name)
+        options = _parser(name, module).parse_args(rest)
+        return int(module.run(options) or 0)
+    except GonioError as error:
+        print(f"gonio {name}: {_one_line(error)}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print(f"gonio {name}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output left (`gonio ... | head`): nothing to tell it, and no traceback at shutdown.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"gonio {name}: {_operating_system_error(error)}", file=sys.stderr)
+        return 2
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _operating_system_error(error: OSError) -> str:
+    what = error.strerror or _one_line(error) or type(error).__name__
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{what}; check the path, its permissions and the free space, then run the command again"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

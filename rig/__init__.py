@@ -1,0 +1,1 @@
+"""The machine: angles, description, kinematics, servos, lamp, cameras."""

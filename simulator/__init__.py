@@ -1,0 +1,1 @@
+"""The twin of the rig: the same wires, lit by Mitsuba."""
