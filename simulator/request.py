@@ -17,8 +17,8 @@ class FrameRequest:
     seed : int
         The twin's seed.
     station : str or None
-        The station that the wheel holds under the camera, by its name in the rig file; None where the machine has no
-        wheel or the wheel stands between two stations.
+        The station that the wheel holds under the camera, by its name in the rig file; None where the machine
+        has no wheel or the wheel stands between two stations.
     ticks : dict of str to int
         The tick that each servo reports, by joint name, station wheel included.
     angles_rad : tuple of float
@@ -26,7 +26,8 @@ class FrameRequest:
     level : float
         Lamp level, 0 to 1.
     exposure_s : float
-        The time that light reached the sensor, or for a dark frame would have, as asked (never scaled by the speed).
+        The time that light reached the sensor, or in a dark frame would have, as asked (never scaled by the
+        speed).
     shutter_open_s : float
         The time that the shutter was open: equal to `exposure_s` but in LAMP mode.
     lit : bool
@@ -36,7 +37,8 @@ class FrameRequest:
     shot_id : str
         The shot's ID; empty where the client gave none.
     shot : int
-        Exposures completed since power-up, this one included. It names the file and does not reach the pixels.
+        Exposures completed since power-up, this one included. It names the file and does not reach the
+        pixels.
     """
 
     seed: int
