@@ -1,0 +1,224 @@
+"""Uncompressed CFA mosaics in TIFF and DNG: the pixels and the tags that say how to read them.
+
+Tag numbers and their meaning: TIFF 6.0, TIFF/EP (ISO 12234-2) and the DNG specification 1.7.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+IMAGE_DESCRIPTION = 270
+MAKE = 271
+MODEL = 272
+SUB_IFDS = 330
+CFA_REPEAT = 33421
+CFA_PATTERN = 33422
+EXPOSURE_TIME = 33434
+EXIF = 34665
+ISO = 34855
+BODY_SERIAL = 42033
+DNG_VERSION = 50706
+UNIQUE_MODEL = 50708
+BLACK_REPEAT = 50713
+BLACK_LEVEL = 50714
+WHITE_LEVEL = 50717
+CAMERA_SERIAL = 50735
+
+_GRAYSCALE, _CFA = 1, 32803
+_UNCOMPRESSED = 1
+_RATIONAL, _SIGNED_RATIONAL = 5, 10
+
+NEEDS_LIBRAW = frozenset(
+    {
+        50711,  # CFALayout: staggered rows or columns
+        50712,  # LinearizationTable: the stored counts are not linear
+        50715,  # BlackLevelDeltaH
+        50716,  # BlackLevelDeltaV
+        50829,  # ActiveArea: margins
+        50830,  # MaskedAreas
+    }
+)
+"""Tags whose presence makes a mosaic more than its stored pixels."""
+
+SEND_AGAIN = "copy it from the camera again, or leave it out"
+"""What to do about a damaged file."""
+
+MAX_PIXELS = 400_000_000
+"""More than any sensor has: a larger size is a damaged header, not a picture to find memory for."""
+
+_EXIF_NAMES = {"ExposureTime": EXPOSURE_TIME, "ISOSpeedRatings": ISO, "BodySerialNumber": BODY_SERIAL}
+
+# tifffile reports damaged files on its logger and goes on; our own errors say it once, in one line.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+def read_mosaic(path: Path) -> tuple[NDArray[Any] | None, dict[int, Any]]:
+    """Read a file in TIFF's container.
+
+    Parameters
+    ----------
+    path : Path
+        A file that starts with TIFF's magic number.
+
+    Returns
+    -------
+    counts : ndarray of uint8 or uint16, shape (H, W), or None
+        The mosaic; None where the file is a camera's RAW that needs LibRaw.
+    tags : dict
+        Value by tag number, of the first directory and its EXIF directory; rationals as numbers.
+
+    Raises
+    ------
+    BadInput
+        The file is truncated or corrupt.
+    """
+    import tifffile
+
+    tags: dict[int, Any] = {}
+    mosaic_here = False
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            page: Any = tiff.pages.first
+            tags = _tags(page)
+            mosaic_here = _is_plain_mosaic(page, tags)
+            if not mosaic_here:
+                return None, tags
+            _check_extent(page, path)
+            return np.ascontiguousarray(page.asarray()), tags
+    except BadInput:
+        raise
+    except Exception as error:  # noqa: BLE001 - a damaged file makes tifffile raise any of a dozen types
+        if not mosaic_here:
+            return None, tags  # a maker's private dialect of TIFF: LibRaw has the last word
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        todo = "install gonio[ljpeg]" if "imagecodecs" in reason else SEND_AGAIN
+        raise BadInput(f"truncated or corrupt ({reason})", where=str(path), todo=todo) from None
+
+
+def _tags(page: Any) -> dict[int, Any]:
+    tags: dict[int, Any] = {}
+    for tag in page.tags.values():
+        # Pixel offsets of a large file are long lists that nobody asks for.
+        if tag.count > 4096 and tag.code != IMAGE_DESCRIPTION:
+            continue
+        value = tag.value
+        if tag.dtype in {_RATIONAL, _SIGNED_RATIONAL}:
+            value = _ratios(value)
+        tags[tag.code] = value
+    exif = tags.get(EXIF)
+    if isinstance(exif, dict):
+        for name, code in _EXIF_NAMES.items():
+            if name in exif and code not in tags:
+                value = exif[name]
+                tags[code] = _ratios(value) if name == "ExposureTime" else value
+    return tags
+
+
+def _ratios(value: tuple[int, ...]) -> tuple[float, ...]:
+    pairs = zip(value[::2], value[1::2], strict=False)
+    return tuple(numerator / denominator if denominator else math.nan for numerator, denominator in pairs)
+
+
+def _is_plain_mosaic(page: Any, tags: Mapping[int, Any]) -> bool:
+    """Whether the stored pixels are the mosaic itself, so that no RAW decoder is needed."""
+    depth_fits = page.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)} and page.bitspersample in {8, 16}
+    if not depth_fits or page.samplesperpixel != 1 or len(page.shape) != 2:
+        return False
+    if page.photometric == _CFA:
+        repeats = tuple(np.atleast_1d(tags.get(CFA_REPEAT, (2, 2))))
+        stored_as_is = page.compression == _UNCOMPRESSED and not (NEEDS_LIBRAW & tags.keys())
+        return stored_as_is and repeats == (2, 2) and (page.bitspersample == 16 or DNG_VERSION not in tags)
+    camera_file = {SUB_IFDS, EXIF, DNG_VERSION} & tags.keys()
+    return page.photometric == _GRAYSCALE and not camera_file
+
+
+def _check_extent(page: Any, path: Path) -> None:
+    """Refuse a header whose size cannot be true, before memory is taken for it."""
+    pixels = int(page.imagewidth) * int(page.imagelength)
+    stored = sum(page.databytecounts)
+    expected = pixels * page.dtype.itemsize
+    end = max(
+        (start + size for start, size in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0
+    )
+    short = end > path.stat().st_size or (page.compression == _UNCOMPRESSED and stored < expected)
+    if pixels == 0 or short or pixels > MAX_PIXELS:
+        size = f"{page.imagewidth} x {page.imagelength} pixels announced, {path.stat().st_size} bytes there"
+        raise BadInput(f"truncated or corrupt: {size}", where=str(path), todo=SEND_AGAIN)
+
+
+def first_number(value: Any) -> float | None:
+    """Return the first number of a tag's value, or None where there is none."""
+    if isinstance(value, tuple | list):
+        value = value[0] if value else None
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def seconds(value: Any) -> float | None:
+    """Return an exposure time from its tag; None where it is absent, zero or damaged."""
+    number = first_number(value)
+    return number if number is not None and number > 0.0 else None
+
+
+def camera_model(tags: Mapping[int, Any]) -> str | None:
+    """Make and model, without saying the make twice."""
+    make = str(tags.get(MAKE) or "").strip()
+    model = str(tags.get(MODEL) or tags.get(UNIQUE_MODEL) or "").strip()
+    text = model if model.startswith(make) else f"{make} {model}".strip()
+    return text or None
+
+
+def cfa(tags: Mapping[int, Any], path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Channel index per position of the 2 x 2 cell, and the channels' names.
+
+    Raises
+    ------
+    BadInput
+        The pattern holds other colours than red, green and blue.
+    """
+    pattern = tags.get(CFA_PATTERN)
+    if pattern is None:
+        return np.zeros((2, 2), dtype=np.int64), ("mono",)
+    codes = [int(code) for code in pattern]
+    if len(codes) != 4 or not set(codes) <= {0, 1, 2}:
+        raise BadInput(
+            f"its colour filter pattern is {codes}, only 2 x 2 cells of red, green and blue are supported",
+            where=str(path),
+            todo="use a camera with a Bayer or a monochrome sensor",
+        )
+    return np.array(codes, dtype=np.int64).reshape(2, 2), ("R", "G", "B")
+
+
+def black_level(tags: Mapping[int, Any], path: Path) -> NDArray[np.float64]:
+    """Black level per position of the 2 x 2 cell, in DN, shape (2, 2); 0 where the file states none.
+
+    Raises
+    ------
+    BadInput
+        The black levels do not fit a 2 x 2 cell.
+    """
+    stated = tags.get(BLACK_LEVEL)
+    if stated is None:
+        return np.zeros((2, 2))
+    values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
+    # Four values without a repeat dimension mean the four positions of the cell (LibRaw reads 0 there).
+    default = (2, 2) if values.size == 4 else (1, values.size)
+    rows, cols = (int(n) for n in np.atleast_1d(tags.get(BLACK_REPEAT, default)))
+    if rows * cols != values.size or 2 % max(rows, 1) or 2 % max(cols, 1) or not np.isfinite(values).all():
+        raise BadInput(
+            f"its black levels ({values.size} for a cell of {rows} x {cols}) do not fit a 2 x 2 mosaic",
+            where=str(path),
+            todo="give the black level per CFA position",
+        )
+    return np.tile(values.reshape(rows, cols), (2 // rows, 2 // cols))
