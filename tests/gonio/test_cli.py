@@ -26,7 +26,10 @@ HEAVY = (
 
 def test_help_imports_nothing_heavy() -> None:
     """Catches a heavy import at the front door, which would make `gonio --help` slow."""
-    code = "import sys; from gonio.cli import main; main(['--help']); print(*sys.modules, sep='\\n', file=sys.stderr)"
+    code = (
+        "import sys; from gonio.cli import main; main(['--help']); "
+        "print(*sys.modules, sep='\\n', file=sys.stderr)"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in run.stderr.split()}
     assert not loaded & set(HEAVY)
