@@ -1,0 +1,334 @@
+"""What all reflectance models share: parameters that describe themselves, geometry, f = kd/pi + ks * lobe."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.errors import BadInput
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SMALLEST = 1e-150
+"""Cosines smaller than this are taken as this, so that a product of two is never zero."""
+
+
+class Kind(StrEnum):
+    """What a parameter does to f: scales enter linearly and can be solved for, shapes must be searched."""
+
+    DIFFUSE_SCALE = "diffuse-scale"
+    SPECULAR_SCALE = "specular-scale"
+    SHAPE = "shape"
+
+
+class Coordinate(StrEnum):
+    """In which coordinate a fit searches a shape parameter, so that equal steps matter about equally."""
+
+    LINEAR = "linear"
+    LOG = "log"
+    LOG_ABOVE_ONE = "log-above-one"
+
+    def forward(self, value: float) -> float:
+        """Coordinate of a parameter's value."""
+        match self:
+            case Coordinate.LOG:
+                return float(np.log(value))
+            case Coordinate.LOG_ABOVE_ONE:
+                return float(np.log(value - 1.0))
+            case _:
+                return float(value)
+
+    def inverse(self, coordinate: float) -> float:
+        """Parameter's value at a coordinate."""
+        match self:
+            case Coordinate.LOG:
+                return float(np.exp(coordinate))
+            case Coordinate.LOG_ABOVE_ONE:
+                return float(1.0 + np.exp(coordinate))
+            case _:
+                return float(coordinate)
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of the parameter by its coordinate, at a parameter's value."""
+        match self:
+            case Coordinate.LOG:
+                return value
+            case Coordinate.LOG_ABOVE_ONE:
+                return value - 1.0
+            case _:
+                return 1.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a model.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model's field.
+    kind : Kind
+        Linear scale or shape.
+    bounds : tuple of float
+        Lowest and highest value that a fit considers. The model itself accepts anything from `minimum` up.
+    minimum : float
+        Lowest value with a meaning; below it the model refuses.
+    default : float
+        A value that looks like something.
+    unit : str
+        Unit, "1" for a pure number.
+    coordinate : Coordinate
+        Where a fit searches it.
+    scan : tuple of float
+        Values from which a fit starts, spread so that every basin holds one.
+    """
+
+    name: str
+    kind: Kind
+    bounds: tuple[float, float]
+    minimum: float
+    default: float
+    unit: str = "1"
+    coordinate: Coordinate = Coordinate.LINEAR
+    scan: tuple[float, ...] = ()
+
+
+KD = Parameter("kd", Kind.DIFFUSE_SCALE, (0.0, np.inf), 0.0, 0.5)
+KS = Parameter("ks", Kind.SPECULAR_SCALE, (0.0, np.inf), 0.0, 0.5)
+
+
+class Lobe(NamedTuple):
+    """A specular lobe in 1/sr at unit scale, and its derivatives by shape parameter, each (..., channels)."""
+
+    value: Array
+    slopes: dict[str, Array]
+
+
+class Geometry:
+    """Pairs of directions and what the lobes need of them, each computed once, when first asked for.
+
+    Pairs that are not lit and seen from above (or hold a NaN) are replaced by the normal, so that no formula
+    meets an undefined value; `finish` puts zero and NaN back.
+
+    Parameters
+    ----------
+    wi, wo : array_like, shape (..., 3)
+        Unit directions to the light and to the camera, in the sample frame; leading dimensions broadcast.
+
+    Raises
+    ------
+    BadInput
+        If the last axis is not of length 3.
+    """
+
+    def __init__(self, wi: ArrayLike, wo: ArrayLike) -> None:
+        light, camera = np.asarray(wi, dtype=np.float64), np.asarray(wo, dtype=np.float64)
+        for name, direction in (("wi", light), ("wo", camera)):
+            if direction.ndim == 0 or direction.shape[-1] != 3:
+                raise BadInput(
+                    f"directions need a last axis of length 3, not shape {direction.shape}",
+                    where=name,
+                    todo="pass an array of shape (N, 3)",
+                )
+        light, camera = np.broadcast_arrays(light, camera)
+        self.finite: Mask = np.asarray(np.isfinite(light + camera).all(axis=-1))
+        self.visible: Mask = self.finite & (light[..., 2] > 0.0) & (camera[..., 2] > 0.0)
+        up = np.array([0.0, 0.0, 1.0])
+        self.wi: Array = np.where(self.visible[..., None], light, up)
+        self.wo: Array = np.where(self.visible[..., None], camera, up)
+
+    @cached_property
+    def cos_i(self) -> Array:
+        """N.L, shape (..., 1), at least `SMALLEST`."""
+        return np.maximum(self.wi[..., 2:], SMALLEST)
+
+    @cached_property
+    def cos_o(self) -> Array:
+        """N.E, shape (..., 1), at least `SMALLEST`."""
+        return np.maximum(self.wo[..., 2:], SMALLEST)
+
+    @cached_property
+    def half(self) -> Array:
+        """L + E, not normalised, shape (..., 3)."""
+        return self.wi + self.wo
+
+    @cached_property
+    def tan2_h(self) -> Array:
+        """Squared tangent of the half vector's angle to the normal, shape (..., 1).
+
+        From components and not from 1 - cos^2, which has no correct digit left near the normal. Capped far
+        beyond the last angle at which any lobe is above zero.
+        """
+        x, y, z = self.half[..., 0:1], self.half[..., 1:2], self.half[..., 2:3]
+        return np.square(np.minimum(np.hypot(x, y) / z, 1e70))
+
+    @cached_property
+    def cos_h(self) -> Array:
+        """N.H, shape (..., 1)."""
+        return self.half[..., 2:] / self.half_length
+
+    @cached_property
+    def half_length(self) -> Array:
+        """|L + E|, shape (..., 1), at least `SMALLEST`."""
+        tangential = np.hypot(self.half[..., 0:1], self.half[..., 1:2])
+        return np.maximum(np.hypot(tangential, self.half[..., 2:3]), SMALLEST)
+
+    @cached_property
+    def cos_d(self) -> Array:
+        """E.H = L.H, shape (..., 1): half the length of L + E, which does not cancel where E is near -L."""
+        return 0.5 * self.half_length
+
+    @cached_property
+    def log_mirror(self) -> Array:
+        """Natural logarithm of R.E (R the mirror direction of L), -inf where R.E <= 0, shape (..., 1)."""
+        high, low = _dot_twice(self.wi * np.array([-1.0, -1.0, 1.0]), self.wo)
+        lit = high + low > 0.0
+        safe = np.where(lit, high, 1.0)
+        # log(high + low): the second word matters because a large exponent multiplies this logarithm.
+        return np.where(lit, np.log(safe) + np.where(lit, low, 0.0) / safe, -np.inf)[..., None]
+
+    def finish(self, values: Array) -> Array:
+        """Put 0 below the horizon and NaN where a direction was not finite; shape (..., channels)."""
+        return np.where(self.visible[..., None], values, np.where(self.finite[..., None], 0.0, np.nan))
+
+
+_SPLITTER = 134217729.0  # 2**27 + 1
+
+
+def _product_twice(a: Array, b: Array) -> tuple[Array, Array]:
+    """Exact product as a sum of two doubles (Dekker 1971)."""
+    product = a * b
+    a_high = _SPLITTER * a - (_SPLITTER * a - a)
+    b_high = _SPLITTER * b - (_SPLITTER * b - b)
+    a_low, b_low = a - a_high, b - b_high
+    return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def _dot_twice(a: Array, b: Array) -> tuple[Array, Array]:
+    """Dot product over the last axis as a sum of two doubles (Ogita, Rump & Oishi 2005, algorithm Dot2)."""
+    total, error = _product_twice(a[..., 0], b[..., 0])
+    for axis in (1, 2):
+        product, product_error = _product_twice(a[..., axis], b[..., axis])
+        summed = total + product
+        rest = summed - total
+        error = error + ((total - (summed - rest)) + (product - rest)) + product_error
+        total = summed
+    high = total + error
+    return high, error - (high - total)
+
+
+@dataclass(frozen=True, eq=False)
+class Model(ABC):
+    """A reflectance model f_r = kd/pi + ks * lobe, in 1/sr, without a cosine.
+
+    Subclasses are frozen dataclasses whose fields are the parameters, each a float or an array of shape
+    (channels,); several arrays must agree. f is 0 where light or camera is not above the horizon, and NaN where
+    a direction is.
+
+    Underflow and overflow are the right values of faint and of capped terms: no floating point error is raised.
+
+    Raises
+    ------
+    BadInput
+        If a parameter is below the smallest value with a meaning, or the shapes do not agree.
+    """
+
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+
+    def __post_init__(self) -> None:
+        shapes = set()
+        for parameter in self.PARAMETERS:
+            value = np.asarray(getattr(self, parameter.name), dtype=np.float64)
+            if value.ndim > 1:
+                raise BadInput(
+                    f"a parameter is a number or (channels,), not shape {value.shape}",
+                    where=f"{self.NAME} {parameter.name}",
+                )
+            if np.any(value < parameter.minimum):
+                raise BadInput(
+                    f"is {float(np.min(value)):g}, below {parameter.minimum:g}",
+                    where=f"{self.NAME} {parameter.name}",
+                )
+            if value.size != 1:
+                shapes.add(value.size)
+            object.__setattr__(self, parameter.name, value)
+        if len(shapes) > 1:
+            raise BadInput(
+                f"parameters have different numbers of channels: {sorted(shapes)}", where=self.NAME
+            )
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the result."""
+        return max(int(np.size(getattr(self, field.name))) for field in fields(self))
+
+    @abstractmethod
+    def lobe_at(self, geometry: Geometry) -> Lobe | None:
+        """Specular lobe at unit scale with its derivatives by shape, or None for a model without one."""
+
+    @np.errstate(under="ignore", over="ignore")
+    def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> Array:
+        """Evaluate the model.
+
+        Parameters
+        ----------
+        wi, wo : array_like, shape (..., 3)
+            Unit directions to the light and to the camera, in the sample frame; leading dimensions broadcast.
+
+        Returns
+        -------
+        ndarray, shape (..., channels)
+            f_r in 1/sr.
+        """
+        geometry = Geometry(wi, wo)
+        basis = self.basis_at(geometry)
+        total = sum(getattr(self, name) * column for name, column in basis.items())
+        # Zeros of the full shape bring parameters that differ by channel and those that do not together.
+        return geometry.finish(total + np.zeros((*geometry.visible.shape, self.channels)))
+
+    @np.errstate(under="ignore", over="ignore")
+    def basis(self, wi: ArrayLike, wo: ArrayLike) -> dict[str, Array]:
+        """Return df/dscale of each linear scale: 1/pi for kd, the lobe for ks; arguments as in `evaluate`.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (..., 1 or channels)
+            In 1/sr; f_r is the sum of scale times column.
+        """
+        geometry = Geometry(wi, wo)
+        return {name: geometry.finish(column) for name, column in self.basis_at(geometry).items()}
+
+    def basis_at(self, geometry: Geometry) -> dict[str, Array]:
+        """`basis` for a prepared geometry; not yet `finish`ed."""
+        columns: dict[str, Array] = {"kd": np.full((*geometry.visible.shape, 1), 1.0 / np.pi)}
+        lobe = self.lobe_at(geometry)
+        if lobe is not None:
+            columns["ks"] = lobe.value
+        return columns
+
+    @np.errstate(under="ignore", over="ignore")
+    def derivatives(self, wi: ArrayLike, wo: ArrayLike) -> dict[str, Array]:
+        """Return the analytic derivative of f_r by each parameter; arguments as in `evaluate`.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (..., channels)
+            Keyed by parameter, in 1/sr per unit of the parameter (of that channel).
+        """
+        geometry = Geometry(wi, wo)
+        full = np.zeros((*geometry.visible.shape, self.channels))
+        slopes: dict[str, Array] = {"kd": full + 1.0 / np.pi}
+        lobe = self.lobe_at(geometry)
+        if lobe is not None:
+            slopes["ks"] = full + lobe.value
+            scale: Array = vars(self)["ks"]
+            slopes |= {name: full + scale * slope for name, slope in lobe.slopes.items()}
+        return {name: geometry.finish(slope) for name, slope in slopes.items()}
