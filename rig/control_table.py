@@ -1,7 +1,7 @@
 """The control table of Dynamixel X servos as data: address, width, who may write it, range and unit.
 
-Source: ROBOTIS e-manual, pages of the XH430-W350, XH430-W210, XM430-W350, XM430-W210 and XL430-W250, Protocol 2.0.
-The 430 series shares one table; what differs from model to model (number, limits, gains) stands in `MODELS`.
+Source: ROBOTIS e-manual (Protocol 2.0): XH430-W350, XH430-W210, XM430-W350, XM430-W210, XL430-W250. The
+430 series shares one table; what differs from model to model (number, limits, gains) stands in `MODELS`.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class StatusError(IntEnum):
 
 
 ALERT_BIT = 0x80
-"""Rides on every status packet while `hardware_error_status` is not 0; the instruction itself may have worked."""
+"""Rides on every status packet while `hardware_error_status` is not 0; the instruction may have worked."""
 
 MOVING_IN_POSITION = 0x01
 """Bit of `moving_status`: the goal is reached."""
