@@ -229,10 +229,10 @@ class Model(ABC):
     """A reflectance model f_r = kd/pi + ks * lobe, in 1/sr, without a cosine.
 
     Subclasses are frozen dataclasses whose fields are the parameters, each a float or an array of shape
-    (channels,); several arrays must agree. f is 0 where light or camera is not above the horizon, and NaN where
-    a direction is.
+    (channels,); several arrays must agree. f is 0 where light or camera is not above the horizon, and NaN
+    where a direction is.
 
-    Underflow and overflow are the right values of faint and of capped terms: no floating point error is raised.
+    Underflow and overflow are the right values of faint and of capped terms, and raise no error.
 
     Raises
     ------

@@ -1,0 +1,278 @@
+"""The models against 50 digits, their derivatives, and the properties that a BRDF must have."""
+
+from __future__ import annotations
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analysis.models import MODELS
+from analysis.models.base import Coordinate, Kind
+from rig.errors import BadInput
+
+mp.mp.dps = 50
+SHAPES = {
+    "lambert": [{}],
+    "phong": [{"exponent": e} for e in (0.3, 7.0, 350.0, 1e5)],
+    "modified-phong": [{"exponent": e} for e in (0.3, 7.0, 350.0, 1e5)],
+    "blinn-phong": [{"exponent": e} for e in (0.3, 7.0, 350.0, 1e5)],
+    "cook-torrance-1982": [{"m": m, "ior": n} for m in (0.01, 0.2, 1.5) for n in (1.0001, 1.5, 30.0)],
+    "cook-torrance": [{"m": m, "ior": n} for m in (0.01, 0.2, 1.5) for n in (1.0001, 1.5, 30.0)],
+}
+
+
+def direction(theta, phi):
+    """Return unit vectors of polar angle theta and azimuth phi."""
+    return np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) * np.ones_like(phi)], axis=-1
+    )
+
+
+def pairs():
+    """Return pairs of directions: random ones, and those at which formulas break."""
+    random = np.random.default_rng(5)
+    theta_i, theta_o = np.arccos(random.uniform(0.01, 1.0, (2, 40)))
+    wi, wo = direction(theta_i, 0.0 * theta_i), direction(theta_o, random.uniform(-np.pi, np.pi, 40))
+    mirror = wi * np.array([-1.0, -1.0, 1.0])
+    near = mirror + 1e-3 * random.standard_normal(mirror.shape)
+    near /= np.linalg.norm(near, axis=-1, keepdims=True)
+    near[:, 2] = np.abs(near[:, 2])
+    hard_i = direction(np.array([0.0, 1e-9, 0.7, 1.55, 1.5707, 1.55]), np.zeros(6))
+    hard_o = direction(
+        np.array([0.0, 0.0, 0.7, 1.55, 1.5707, 1.56]), np.array([0.0, 0.0, 0.0, np.pi, 0.0, 1.0])
+    )
+    return np.concatenate([wi, wi, wi, wi, hard_i]), np.concatenate([wo, mirror, near, wi, hard_o])
+
+
+def exact(name, wi, wo, kd, ks=0.0, **shape):
+    """Evaluate the formulas as the books print them, in 50 digits, at the directions as given."""
+    light, eye = ([mp.mpf(float(x)) for x in vector] for vector in (wi, wo))
+    dot = lambda a, b: sum(x * y for x, y in zip(a, b, strict=True))  # noqa: E731
+    sum_ = [a + b for a, b in zip(light, eye, strict=True)]
+    half = [x / mp.sqrt(dot(sum_, sum_)) for x in sum_]
+    shape = {key: mp.mpf(value) for key, value in shape.items()}
+    f = mp.mpf(kd) / mp.pi
+    if "phong" in name:
+        n = shape["exponent"]
+        mirror = max(dot([-light[0], -light[1], light[2]], eye), mp.mpf(0))
+        lobe = {
+            "phong": mirror**n / light[2],
+            "modified-phong": (n + 2) / (2 * mp.pi) * mirror**n,
+            "blinn-phong": (n + 2) * (n + 4) / (8 * mp.pi * (mp.power(2, -n / 2) + n)) * half[2] ** n,
+        }[name]
+        return f + ks * lobe
+    if "cook" in name:
+        m, n, c = shape["m"], shape["ior"], dot(eye, half)
+        g = mp.sqrt(n * n + c * c - 1)
+        fresnel = (g - c) ** 2 / (g + c) ** 2 / 2
+        fresnel *= 1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2
+        groove = min(mp.mpf(1), 2 * half[2] * eye[2] / c, 2 * half[2] * light[2] / c)
+        tan2 = 1 / half[2] ** 2 - 1
+        density = mp.exp(-tan2 / m**2) / (m**2 * half[2] ** 4)
+        denominator = mp.pi if name == "cook-torrance-1982" else 4 * mp.pi
+        f += ks * fresnel * density * groove / (denominator * light[2] * eye[2])
+    return f
+
+
+def cases():
+    """Return every model with every shape to test it at."""
+    return [(name, shape) for name, shapes in SHAPES.items() for shape in shapes]
+
+
+@pytest.mark.parametrize(("name", "shape"), cases())
+def test_every_model_agrees_with_50_digits(name, shape):
+    """Catches a wrong formula, cancellation at normal incidence or near n = 1, underflow, overflow."""
+    wi, wo = pairs()
+    scales = {"kd": 0.0} if name == "lambert" else {"kd": 0.0, "ks": 0.7}
+    if name == "lambert":
+        scales = {"kd": 0.3}
+    with np.errstate(all="raise"):
+        ours = MODELS[name](**scales, **shape).evaluate(wi, wo)[:, 0]
+    theirs = [
+        exact(name, i, o, scales["kd"], scales.get("ks", 0.0), **shape) for i, o in zip(wi, wo, strict=True)
+    ]
+    for mine, reference in zip(ours, theirs, strict=True):
+        # Below the smallest normal double there are no 12 digits to have.
+        assert abs(mp.mpf(float(mine)) - reference) <= 1e-12 * abs(reference) + mp.mpf(1e-300)
+
+
+@pytest.mark.parametrize(("name", "shape"), cases())
+def test_derivatives_agree_with_50_digits(name, shape):
+    """Catches a derivative that belongs to another formula, or one that loses its digits."""
+    wi, wo = pairs()
+    values = {"kd": 0.2, **({} if name == "lambert" else {"ks": 0.7}), **shape}
+    ours = MODELS[name](**values).derivatives(wi, wo)
+    assert set(ours) == set(values)
+    pick = range(0, len(wi), 7)
+    for parameter, value in values.items():
+        for row in pick:
+            step = mp.mpf(10) ** -15 * value
+            sides = [
+                exact(name, wi[row], wo[row], **{**values, parameter: mp.mpf(value) + sign * step})
+                for sign in (1, -1)
+            ]
+            reference = (sides[0] - sides[1]) / (2 * step)
+            mine = mp.mpf(float(ours[parameter][row, 0]))
+            assert abs(mine - reference) <= 1e-9 * abs(reference) + mp.mpf(1e-18), (
+                parameter,
+                wi[row],
+                wo[row],
+            )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_edges_of_the_domain(name):
+    """Catches light through the surface, NaN swallowed or invented, and warnings at the horizon."""
+    lit, grazing, below = [0.6, 0.0, 0.8], [1.0, 0.0, 1e-300], [0.0, 0.6, -0.8]
+    missing, flat = [np.nan, 0.0, 1.0], [1.0, 0.0, 0.0]
+    wi = np.array([lit, below, lit, missing, lit, flat, grazing, lit])
+    wo = np.array([below, lit, missing, below, flat, lit, [-1.0, 0.0, 1e-300], lit])
+    with np.errstate(all="raise"):
+        f = MODELS[name]().evaluate(wi, wo)
+        slopes = MODELS[name]().derivatives(wi, wo)
+    for values in (f, *slopes.values()):
+        assert np.all(values[[0, 1, 4, 5]] == 0.0)
+        assert np.all(np.isnan(values[[2, 3]]))
+        assert np.all(np.isfinite(values[[6, 7]]))
+    assert np.all(f[[6, 7]] > 0.0)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_shapes_broadcast(name):
+    """Catches a model that only knows (N, 3), or mixes channels with samples."""
+    wi, wo = pairs()
+    model = MODELS[name]
+    first = {p.name: p.default for p in model.PARAMETERS}
+    second = {p.name: p.default * 1.3 for p in model.PARAMETERS}
+    both = {key: np.array([first[key], second[key]]) for key in first}
+    f = model(**both).evaluate(wi[:100].reshape(4, 25, 3), wo[:100].reshape(4, 25, 3))
+    assert f.shape == (4, 25, 2)
+    np.testing.assert_array_equal(f[..., 0].ravel(), model(**first).evaluate(wi[:100], wo[:100])[:, 0])
+    np.testing.assert_array_equal(f[..., 1].ravel(), model(**second).evaluate(wi[:100], wo[:100])[:, 0])
+    assert model(**first).evaluate(wi[0], wo[:5]).shape == (5, 1)
+    one_shape = model(**(first | {"kd": [0.1, 0.2, 0.3]})).derivatives(wi, wo)
+    assert {slope.shape for slope in one_shape.values()} == {(len(wi), 3)}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_scales_times_basis_is_the_model(name):
+    """Catches a basis that a linear solver would trust and that is not the model's."""
+    wi, wo = pairs()
+    model = MODELS[name]()
+    scales = {p.name: p.default for p in model.PARAMETERS if p.kind is not Kind.SHAPE}
+    columns = model.basis(wi, wo)
+    assert set(columns) == set(scales)
+    total = sum(scales[key] * columns[key] for key in columns)
+    np.testing.assert_allclose(total, model.evaluate(wi, wo), rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "phong"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_reciprocity_and_rotation(name, seed):
+    """Catches an asymmetry between light and camera, or a lobe that knows where x is."""
+    random = np.random.default_rng(seed)
+    wi, wo = random.standard_normal((2, 50, 3))
+    wi[:, 2], wo[:, 2] = np.abs(wi[:, 2]), np.abs(wo[:, 2])
+    wi, wo = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (wi, wo))
+    model = MODELS[name]()
+    f = model.evaluate(wi, wo)
+    assert np.all(f >= 0.0)
+    np.testing.assert_allclose(model.evaluate(wo, wi), f, rtol=1e-11)
+    angle = random.uniform(0.0, 2.0 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    np.testing.assert_allclose(model.evaluate(wi @ turn.T, wo @ turn.T), f, rtol=1e-9)
+
+
+def test_phong_is_not_reciprocal():
+    """Catches a 'repaired' Phong: the lecture's divides by the light's cosine, and by that only."""
+    wi, wo = direction(np.array([1.2]), np.zeros(1)), direction(np.array([0.9]), np.array([np.pi]))
+    model = MODELS["phong"](kd=0.0, ks=0.4, exponent=30.0)
+    forth, back = model.evaluate(wi, wo)[0, 0], model.evaluate(wo, wi)[0, 0]
+    assert forth / back == pytest.approx(np.cos(0.9) / np.cos(1.2), rel=1e-12)
+
+
+def test_1982_is_exactly_four_times_the_modern_form():
+    """Catches a pi or a 4 that went astray between the two normalisations."""
+    wi, wo = pairs()
+    values = {"kd": 0.0, "ks": 0.6, "m": 0.25, "ior": 1.6}
+    old = MODELS["cook-torrance-1982"](**values).evaluate(wi, wo)
+    np.testing.assert_allclose(old, 4.0 * MODELS["cook-torrance"](**values).evaluate(wi, wo), rtol=1e-15)
+
+
+def hemisphere(count=400):
+    """Return directions and the weights (solid angle times cosine) of a quadrature of the hemisphere."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    mu, w = 0.5 * (nodes + 1.0), 0.5 * weights
+    phi = (np.arange(count) + 0.5) * 2.0 * np.pi / count
+    theta, phi_grid = np.meshgrid(np.arccos(mu), phi, indexing="ij")
+    return direction(theta.ravel(), phi_grid.ravel()), np.repeat(w * mu, count) * 2.0 * np.pi / count
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 10.0, 100.0])
+@pytest.mark.parametrize("name", ["modified-phong", "blinn-phong"])
+def test_normalised_lobes_reflect_what_ks_says(name, exponent):
+    """Catches a normalisation that creates energy: ks is the albedo at normal incidence, the largest."""
+    wo, weight = hemisphere()
+    model = MODELS[name](kd=0.0, ks=0.8, exponent=exponent)
+    albedo = [
+        float(weight @ model.evaluate(direction(np.array(t), np.array(0.0)), wo)[:, 0])
+        for t in (0.0, 0.4, 0.8, 1.2, 1.5)
+    ]
+    assert albedo[0] == pytest.approx(0.8, rel=1e-4)
+    assert max(albedo) <= 0.8 * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("m", [0.1, 0.4])
+def test_the_microfacet_lobe_conserves_energy(m):
+    """Catches a missing 4 or pi in Cook-Torrance: facets that are mirrors reflect nearly all."""
+    wo, weight = hemisphere()
+    model = MODELS["cook-torrance"](kd=0.0, ks=1.0, m=m, ior=1e6)
+    albedo = float(weight @ model.evaluate([0.0, 0.0, 1.0], wo)[:, 0])
+    assert 0.93 < albedo <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [
+        ("lambert", {"kd": -0.1}),
+        ("phong", {"exponent": -1.0}),
+        ("cook-torrance", {"m": 0.0}),
+        ("cook-torrance", {"ior": 0.9}),
+        ("cook-torrance", {"kd": [0.1, 0.2], "ks": [0.1, 0.2, 0.3]}),
+        ("lambert", {"kd": [[0.1]]}),
+    ],
+)
+def test_parameters_without_a_meaning_are_refused(name, bad):
+    """Catches a model that goes on with a negative albedo or with channels that do not match."""
+    with pytest.raises(BadInput, match=name):
+        MODELS[name](**bad)
+
+
+def test_directions_of_a_wrong_shape_are_refused():
+    """Catches angles passed where directions belong."""
+    with pytest.raises(BadInput, match="wi"):
+        MODELS["lambert"]().evaluate(np.zeros((5, 2)), np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("coordinate", Coordinate)
+def test_coordinates_are_inverses_with_the_right_slope(coordinate):
+    """Catches a search coordinate whose slope would mislead the solver."""
+    value = 1.7
+    at = coordinate.forward(value)
+    assert coordinate.inverse(at) == pytest.approx(value, rel=1e-14)
+    numeric = (coordinate.inverse(at + 1e-6) - coordinate.inverse(at - 1e-6)) / 2e-6
+    assert coordinate.slope(value) == pytest.approx(numeric, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_parameters_describe_themselves(name):
+    """Catches a default or a start outside its bounds, and a parameter that is not a field."""
+    for parameter in MODELS[name].PARAMETERS:
+        low, high = parameter.bounds
+        assert parameter.minimum <= low <= parameter.default <= high
+        assert all(low <= start <= high for start in parameter.scan)
+        assert (parameter.kind is Kind.SHAPE) == bool(parameter.scan)
+        assert hasattr(MODELS[name](), parameter.name)
