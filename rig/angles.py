@@ -2,16 +2,17 @@ r"""Every convention of directions and angles, stated once.
 
 The sample frame is right-handed: origin on the sample's surface, +z its normal, +x towards the sample's mark.
 ``wi`` points to the light and ``wo`` to the camera; both are unit vectors that leave the surface. The polar
-angle theta runs from +z, the azimuth phi from +x towards +y. Angles are radians; directions are float64 arrays
-whose last axis is (x, y, z), and every function broadcasts over the axes before it. NaN in gives NaN out,
-silently.
+angle theta runs from +z, the azimuth phi from +x towards +y. Angles are radians; directions are float64
+arrays whose last axis is (x, y, z), and every function broadcasts over the axes before it. NaN in gives NaN
+out, silently.
 
 Where an angle has no value the functions agree on one, so that each pair of functions is an exact round trip:
 
 * the azimuth of a pole (theta = 0 or pi) is 0, so the azimuth of a half vector along the normal is 0 too;
 * ``phi_d`` is 0 where light and camera coincide (theta_d = 0);
-* the half vector of opposite directions (wi = -wo) is the unit vector perpendicular to wi that lies closest to
-  +z, and +x where wi itself is +z or -z; so at grazing it is +z, as for grazing light reflected by a mirror.
+* the half vector of opposite directions (wi = -wo) is the unit vector perpendicular to wi that lies closest
+  to +z, and +x where wi itself is +z or -z; so at grazing it is +z, as for grazing light reflected by a
+  mirror.
 
 Half and difference angles follow Rusinkiewicz (1998), "A new change of variables for efficient BRDF
 representation", section 3: the difference direction is wi after the rotations that carry the half vector to
@@ -70,8 +71,8 @@ def spherical_to_direction(theta: npt.ArrayLike, phi: npt.ArrayLike) -> FloatArr
 def direction_to_spherical(w: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Polar angle and azimuth of directions.
 
-    Both come from two-argument arc tangents, so they keep full precision at the poles, where an arc cosine of z
-    loses half of the digits.
+    Both come from two-argument arc tangents, so they keep full precision at the poles, where an arc cosine of
+    z loses half of the digits.
 
     Parameters
     ----------

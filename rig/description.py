@@ -1,0 +1,390 @@
+"""The description of one machine: `rig.toml` in, a frozen `Rig` out.
+
+Everything that a person can write into the file is in `rig.parts`, with unit and range; this module ties the
+parts together, checks what no part can check alone, and hashes the machine. Importing it loads pydantic, so
+commands import it when they run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
+
+from rig.errors import BadInput
+from rig.parts import (
+    Arms,
+    Bus,
+    Camera,
+    Clearance,
+    Joint,
+    Lamp,
+    Name,
+    Part,
+    Ports,
+    Sample,
+    Station,
+    White,
+)
+from rig.rig_errors import cross_field, explain, nearest
+from rig.ticks import TICKS_PER_TURN
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pydantic_core import PydanticCustomError
+
+__all__ = [
+    "Arms",
+    "Bus",
+    "Camera",
+    "Clearance",
+    "Joint",
+    "Lamp",
+    "Ports",
+    "Rig",
+    "Sample",
+    "Station",
+    "White",
+    "default_rig",
+    "dump_rig",
+    "load_rig",
+]
+
+
+class Rig(Part):
+    """One machine. Two rigs are equal when their contents are, wherever their files lie."""
+
+    name: str = Field(
+        "gonio", min_length=1, max_length=200, description="the machine's name, 1 to 200 characters"
+    )
+    ports: Ports = Field(default_factory=Ports, description="ports and folders of this computer")
+    bus: Bus = Field(default_factory=Bus, description="the servo bus")
+    joints: tuple[Joint, ...] = Field(
+        min_length=1, description="the servos; this order is the order of every pose"
+    )
+    arms: Arms = Field(description="chains of joints for light, camera, sample and station")
+    lamp: Lamp = Field(default_factory=Lamp, description="the light source")
+    camera: Camera = Field(default_factory=Camera, description="the camera")
+    sample: Sample = Field(default_factory=Sample, description="the sample")
+    stations: dict[Name, Station] = Field(
+        default_factory=dict, description="places on the station wheel by name; none when there is no wheel"
+    )
+    white: White = Field(default_factory=White, description="the white reference")
+    clearance: Clearance = Field(default_factory=Clearance, description="what keeps the arms apart")
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Rig:
+        for error in _contradictions(self):
+            raise error
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Rig) and self.model_dump() == other.model_dump()
+
+    def __hash__(self) -> int:
+        return hash(self.hash)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the rig file; calibration files lie in `calibration` beside it."""
+        return self._folder
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 (hex) of everything but the ports, blind to the file's layout, key order and comments."""
+        content = self.model_dump(mode="json", exclude={"ports"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+    @property
+    def station_joint(self) -> Joint | None:
+        """The station wheel, or None for a machine without one."""
+        return self.joint(self.arms.station[0]) if self.arms.station else None
+
+    @property
+    def arm_joints(self) -> tuple[Joint, ...]:
+        """The joints of a pose: all but the station wheel, in the file's order."""
+        return tuple(joint for joint in self.joints if joint.name not in self.arms.station)
+
+    def joint(self, name: str) -> Joint:
+        """Return the joint of that name.
+
+        Raises
+        ------
+        BadInput
+            There is none.
+        """
+        return self.joints[self.joint_index(name)]
+
+    def joint_index(self, name: str) -> int:
+        """Return the place in `joints` of the joint of that name.
+
+        Raises
+        ------
+        BadInput
+            There is none.
+        """
+        names = [joint.name for joint in self.joints]
+        if name not in names:
+            raise BadInput(
+                f"no joint is named {name!r}", where="rig", todo=f"the joints are {', '.join(names)}"
+            )
+        return names.index(name)
+
+
+def load_rig(
+    path: str | Path,
+    *,
+    servos: str | None = None,
+    lamp: str | None = None,
+    frames: str | Path | None = None,
+) -> Rig:
+    """Read a rig file.
+
+    Parameters
+    ----------
+    path : path
+        The TOML file.
+    servos, lamp : str, optional
+        Serial ports that replace the file's.
+    frames : path, optional
+        Hot folder that replaces the file's; relative to the working folder, whereas the file's is relative to
+        the file.
+
+    Returns
+    -------
+    Rig
+        With an absolute `ports.frames`.
+
+    Raises
+    ------
+    BadInput
+        The file is missing, unreadable, not TOML, or describes no possible machine. One line names file,
+        field, value, and what is allowed.
+    """
+    file = Path(path)
+    content = _read_toml(file)
+    try:
+        rig = Rig.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        raise explain(error, content, Rig, str(file)) from None
+    folder = file.absolute().parent
+    ports = Ports(
+        servos=rig.ports.servos if servos is None else servos,
+        lamp=rig.ports.lamp if lamp is None else lamp,
+        frames=folder / rig.ports.frames if frames is None else Path(frames).absolute(),
+    )
+    return _placed(rig.model_copy(update={"ports": ports}), folder)
+
+
+def dump_rig(rig: Rig, path: str | Path) -> None:
+    """Write a rig file that `load_rig` reads back equal.
+
+    Parameters
+    ----------
+    rig : Rig
+    path : path
+        Replaced when it exists. A hot folder below the file's folder is written relative, so that both can
+        move together.
+
+    Raises
+    ------
+    BadInput
+        The file cannot be written.
+    """
+    import tomli_w
+
+    file = Path(path)
+    content = rig.model_dump(mode="json")
+    frames, folder = rig.ports.frames, file.absolute().parent
+    if frames.is_absolute() and frames.is_relative_to(folder):
+        content["ports"]["frames"] = frames.relative_to(folder).as_posix()
+    try:
+        file.write_text(tomli_w.dumps(content), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(
+            f"cannot write: {error.strerror}", where=str(file), todo="choose another place"
+        ) from None
+
+
+def default_rig(
+    *,
+    servos: str = "",
+    lamp: str = "",
+    frames: str | Path = "frames",
+    folder: str | Path = ".",
+    **parts: Any,
+) -> Rig:
+    """Describe the default machine, which is the twin's: five servos, two arms, turntable, station wheel.
+
+    Parameters
+    ----------
+    servos, lamp : str
+        Serial ports.
+    frames : path
+        Hot folder; relative to `folder`.
+    folder : path
+        Where the rig file would lie.
+    **parts
+        Fields of `Rig` that replace the default ones, such as ``camera=Camera(width_px=64, ...)``.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    pydantic.ValidationError
+        The replaced parts describe no possible machine.
+    """
+    place = Path(folder).absolute()
+    full_turn = (-180.0, 179.9)  # +180 degrees is the tick after the servo's last
+    fields: dict[str, Any] = {
+        "name": "gonio default",
+        "ports": Ports(servos=servos, lamp=lamp, frames=place / frames),
+        "joints": (
+            Joint(name="light_elevation", id=1, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0)),
+            Joint(name="camera_azimuth", id=2, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
+            Joint(name="camera_elevation", id=3, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0)),
+            Joint(name="turntable", id=4, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
+            Joint(name="station_wheel", id=5, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
+        ),
+        "arms": Arms(
+            light=("light_elevation",),
+            camera=("camera_azimuth", "camera_elevation"),
+            sample=("turntable",),
+            station=("station_wheel",),
+        ),
+        "camera": Camera(serial="TWIN-0001"),
+        "stations": {
+            "white": Station(angle_deg=0.0, kind="white"),
+            "trap": Station(angle_deg=72.0, kind="trap"),
+            "sample1": Station(angle_deg=144.0, kind="sample"),
+            "sample2": Station(angle_deg=-144.0, kind="sample"),
+            "sample3": Station(angle_deg=-72.0, kind="sample"),
+        },
+    }
+    return _placed(Rig(**(fields | parts)), place)
+
+
+def _placed(rig: Rig, folder: Path) -> Rig:
+    rig._folder = folder  # noqa: SLF001 - the loader is the one place that knows it
+    return rig
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput("no such rig file", where=str(file), todo="give the path of a rig.toml") from None
+    except OSError as error:
+        raise BadInput(f"cannot read: {error.strerror}", where=str(file), todo="give a rig.toml") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            f"not UTF-8 at byte {error.start}", where=str(file), todo="save it as UTF-8 text"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"not TOML: {error}", where=str(file), todo="mend that line") from None
+
+
+def _contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    """Find what the parts cannot know of each other, most basic first."""
+    yield from _duplicates(rig)
+    for place, joint in enumerate(rig.joints):
+        yield from _joint_contradictions(joint, f"joints[{place}]")
+    yield from _arm_contradictions(rig)
+    yield from _station_contradictions(rig)
+    camera = rig.camera
+    if camera.shortest_exposure_s > camera.longest_exposure_s:
+        yield cross_field(
+            "camera.shortest_exposure_s",
+            camera.shortest_exposure_s,
+            f"at most longest_exposure_s = {camera.longest_exposure_s:g}",
+        )
+    column, row = camera.principal_point_px
+    if not (-0.5 <= column <= camera.width_px - 0.5 and -0.5 <= row <= camera.height_px - 0.5):
+        yield cross_field(
+            "camera.principal_point_px",
+            [column, row],
+            f"a point inside the frame of {camera.width_px} x {camera.height_px} pixels",
+        )
+
+
+def _duplicates(rig: Rig) -> Iterator[PydanticCustomError]:
+    names: dict[str, int] = {}
+    ids: dict[int, int] = {}
+    for place, joint in enumerate(rig.joints):
+        if joint.name in names:
+            yield cross_field(
+                f"joints[{place}].name", joint.name, f"another name: joints[{names[joint.name]}] has it"
+            )
+        if joint.id in ids:
+            yield cross_field(f"joints[{place}].id", joint.id, f"another id: joints[{ids[joint.id]}] has it")
+        names[joint.name], ids[joint.id] = place, place
+
+
+def _joint_contradictions(joint: Joint, where: str) -> Iterator[PydanticCustomError]:
+    low, high = joint.limits_deg
+    if not any(joint.axis):
+        yield cross_field(f"{where}.axis", list(joint.axis), "an axis that is not zero")
+    if not low < high:
+        yield cross_field(f"{where}.limits_deg", [low, high], "low < high")
+    if not low <= 0.0 <= high:
+        yield cross_field(f"{where}.limits_deg", [low, high], "low <= 0 <= high, as zero_ticks is angle 0")
+    deg_per_tick = 360.0 / TICKS_PER_TURN / joint.gear_ratio
+    lowest = -joint.zero_ticks * deg_per_tick
+    highest = (TICKS_PER_TURN - 1 - joint.zero_ticks) * deg_per_tick
+    half_a_tick = deg_per_tick / 2.0
+    if low < lowest - half_a_tick or high >= highest + half_a_tick:
+        # Rounded inwards, so that a person can copy the numbers.
+        reach = f"{math.ceil(lowest * 100) / 100:g} to {math.floor(highest * 100) / 100:g}"
+        yield cross_field(f"{where}.limits_deg", [low, high], f"within one turn of the servo, {reach}")
+    if not low <= joint.park_deg <= high:
+        yield cross_field(f"{where}.park_deg", joint.park_deg, f"within limits_deg, {low:g} to {high:g}")
+
+
+def _arm_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    names = [joint.name for joint in rig.joints]
+    used: dict[str, str] = {}
+    for arm, chain in rig.arms:
+        for place, name in enumerate(chain):
+            field = f"arms.{arm}[{place}]"
+            if name not in names:
+                yield cross_field(field, name, f"the name of a joint{nearest(name, names)}")
+            if name in chain[:place]:
+                yield cross_field(field, name, "each joint once in an arm")
+            if arm == "station" and name in used:
+                yield cross_field(field, name, f"a joint of its own: arms.{used[name]} has it")
+            used[name] = arm
+    for place, name in enumerate(names):
+        if name not in used:
+            yield cross_field(
+                f"joints[{place}].name", name, "a joint that arms names; this one moves nothing"
+            )
+
+
+def _station_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    wheel = rig.station_joint
+    if rig.stations and wheel is None:
+        yield cross_field(
+            "arms.station", [], f"the wheel's joint, as stations has {', '.join(sorted(rig.stations))}"
+        )
+    if wheel is None:
+        return
+    if not rig.stations:
+        yield cross_field("stations", {}, f"at least one station, as arms.station names {wheel.name}")
+    low, high = wheel.limits_deg
+    for name, station in rig.stations.items():
+        if not low <= station.angle_deg <= high:
+            yield cross_field(
+                f"stations.{name}.angle_deg",
+                station.angle_deg,
+                f"within the limits of {wheel.name}, {low:g} to {high:g}",
+            )
