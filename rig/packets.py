@@ -2,8 +2,8 @@
 
 The SDK (ROBOTIS, `dynamixel-sdk` 4.x) builds, stuffs and checks packets. What it leaves open is closed here, each
 with a test: outgoing payloads that need stuffing are sent stuffed; missing data are missing, never 0; a hardware
-alert is reported beside the data and fails nothing; time is monotonic and the reply timeout is ours; waiting blocks
-instead of spinning; the port is opened exclusively; a late reply never answers the next request.
+alert is reported beside the data and fails nothing; time is monotonic and the reply timeout is ours; waiting
+blocks instead of spinning; the port is opened exclusively; a late reply never answers the next request.
 
 Nothing here is thread-safe: `rig.bus` gives one thread the wire.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 BLOCK_S = 0.005
-"""How long one read of the port blocks: every deadline's resolution, and what keeps the wait from spinning."""
+"""How long one read of the port blocks: the resolution of every deadline, and no spinning."""
 
 DRAIN_LIMIT_S = 0.25
 """After a lost reply the line is emptied until it is quiet, for this long at most."""
@@ -306,8 +306,8 @@ class Wire:
     def _clear(self, servo_id: int) -> None:
         """Before talking again to a servo whose reply was lost, make sure that the reply cannot come late.
 
-        The protocol numbers no packets, but a servo answers in order: once a ping, whose reply has a length of its
-        own, is answered, whatever was asked before has been answered or never will be.
+        The protocol numbers no packets, but a servo answers in order: once a ping, whose reply has a length of
+        its own, is answered, whatever was asked before has been answered or never will be.
         """
         if servo_id not in self._suspects:
             return
