@@ -99,13 +99,12 @@ def installed_libraries(folders: Iterable[str] = _FOLDERS) -> list[Path]:
     -------
     list of Path
     """
-    found: dict[Path, Path] = {}
+    found: set[Path] = set()
     for pattern in folders:
-        for folder in sorted(Path("/").glob(pattern.lstrip("/"))):
+        for folder in Path("/").glob(pattern.lstrip("/")):
             for name in _PATTERNS:
-                for path in sorted(folder.glob(name)):
-                    found.setdefault(path.resolve(), path)
-    return sorted(found, key=lambda path: -_major_of_name(path))
+                found |= {path.resolve() for path in folder.glob(name)}
+    return sorted(found, key=lambda path: (-_major_of_name(path), path))
 
 
 def _major_of_name(path: Path) -> int:

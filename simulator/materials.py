@@ -1,0 +1,290 @@
+"""What a station can hold, written in one line.
+
+lambert:kd=0.5                                     a model of `analysis.models`
+cook-torrance:kd=0.1/0.2/0.3,ks=0.5,m=0.2,ior=1.5  slashes separate red, green and blue
+mitsuba:roughconductor,alpha=0.2,material=Au       any BSDF of Mitsuba by its name
+bsdf:paint.bsdf                                    a measured BSDF file (Dupuy & Jakob 2018)
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from analysis.models.base import Model
+
+CHANNELS = 3
+
+MITSUBA_PREFIX = "mitsuba"
+MEASURED_PREFIX = "bsdf"
+_EXAMPLE = "write for example lambert:kd=0.5"
+_CLOSED_FORM_PLUGIN = "gonio"
+_MEASURED_MAGIC = b"tensor_file\0"
+
+Value = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ClosedFormMaterial:
+    """A material whose f_r is a model of `analysis.models`.
+
+    Parameters
+    ----------
+    spec : str
+        The line that names it.
+    model : str
+        Name of the model.
+    parameters : mapping of str to float or tuple of float
+        Value, or one per channel, of every parameter.
+    """
+
+    spec: str
+    model: str
+    parameters: Mapping[str, Value] = field(hash=False)
+
+    @property
+    def truth(self) -> dict[str, list[float]]:
+        """Parameters by name, each a list of three channels."""
+        return {
+            name: list(value) if isinstance(value, tuple) else [value] * CHANNELS
+            for name, value in self.parameters.items()
+        }
+
+    def closed_form(self) -> Model:
+        """Return the float64 model."""
+        from analysis.models import MODELS
+
+        return MODELS[self.model](**self.parameters)
+
+    def plugin(self) -> dict[str, Any]:
+        """Return the description that Mitsuba loads once `simulator.bsdfs` is registered."""
+        return {"type": _CLOSED_FORM_PLUGIN, "model": self.model, **_flat(self.truth)}
+
+
+@dataclass(frozen=True)
+class MitsubaMaterial:
+    """A material that only Mitsuba knows.
+
+    Parameters
+    ----------
+    spec : str
+        The line that names it.
+    description : mapping
+        The BSDF as Mitsuba loads it; colours are tuples of three.
+    """
+
+    spec: str
+    description: Mapping[str, Any] = field(hash=False)
+
+    @property
+    def truth(self) -> dict[str, list[float]]:
+        """Empty: there is no closed form to recover."""
+        return {}
+
+    def plugin(self) -> dict[str, Any]:
+        """Return the description that Mitsuba loads."""
+        return {
+            key: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
+            for key, value in self.description.items()
+        }
+
+
+Material = ClosedFormMaterial | MitsubaMaterial
+
+
+def _flat(truth: Mapping[str, list[float]]) -> dict[str, float]:
+    """One plain number per parameter and channel: what a plugin of our own is configured with."""
+    return {
+        f"{name}_{channel}": value for name, values in truth.items() for channel, value in enumerate(values)
+    }
+
+
+def lambert(rho: float, *, spec: str = "") -> ClosedFormMaterial:
+    """Return an ideal diffuser of albedo `rho`: the white, or with 0 the light trap."""
+    return ClosedFormMaterial(spec or f"lambert:kd={rho!r}", "lambert", {"kd": rho})
+
+
+def parse_material(spec: str | Material) -> Material:
+    """Read one line that names a material.
+
+    Parameters
+    ----------
+    spec : str or Material
+        The line; a material is returned as it is.
+
+    Returns
+    -------
+    Material
+
+    Raises
+    ------
+    BadInput
+        An unknown kind, model or parameter, a missing or impossible value, or a file that is not there.
+        What is wrong inside a Mitsuba BSDF shows when it is loaded.
+    """
+    if not isinstance(spec, str):
+        return spec
+    kind, _, rest = spec.strip().partition(":")
+    kind = kind.strip().lower()
+    if kind == MEASURED_PREFIX:
+        return _measured(spec, rest.strip())
+    if kind == MITSUBA_PREFIX:
+        return _mitsuba(spec, rest)
+    return _closed_form(spec, kind, rest)
+
+
+def _closed_form(spec: str, kind: str, rest: str) -> ClosedFormMaterial:
+    from analysis.models import MODELS
+
+    if kind not in MODELS:
+        kinds = [*MODELS, MITSUBA_PREFIX, MEASURED_PREFIX]
+        nearest = difflib.get_close_matches(kind, kinds, n=1)
+        hint = f"did you mean {nearest[0]}?" if nearest else f"known kinds: {', '.join(kinds)}"
+        raise BadInput(f"there is no material of kind {kind!r}", where=spec, todo=hint)
+    names = [parameter.name for parameter in MODELS[kind].PARAMETERS]
+    given = {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}
+    for name in given.keys() - set(names):
+        nearest = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {nearest[0]}?" if nearest else f"{kind} has {', '.join(names)}"
+        raise BadInput(f"{kind} has no parameter {name}", where=spec, todo=hint)
+    for name in names:
+        if name not in given:
+            raise BadInput(f"{kind} needs {name}", where=spec, todo=f"give {', '.join(names)}")
+    material = ClosedFormMaterial(spec, kind, {name: given[name] for name in names})
+    try:
+        material.closed_form()
+    except BadInput as error:
+        raise BadInput(str(error), where=spec, todo="correct the value") from None
+    return material
+
+
+def _mitsuba(spec: str, rest: str) -> MitsubaMaterial:
+    plugin, _, options = rest.partition(",")
+    if not plugin.strip():
+        raise BadInput("no BSDF named", where=spec, todo="write for example mitsuba:roughconductor,alpha=0.2")
+    description: dict[str, Any] = {"type": plugin.strip()}
+    for key, text in _pairs(spec, options):
+        description[key] = _option(spec, key, text)
+    return MitsubaMaterial(spec, description)
+
+
+def _measured(spec: str, name: str) -> MitsubaMaterial:
+    path = Path(name)
+    try:
+        with path.open("rb") as file:
+            magic = file.read(len(_MEASURED_MAGIC))
+    except OSError as error:
+        reason = error.strerror or "unreadable"
+        raise BadInput(f"{reason}: {name}", where=spec, todo="give the path of a .bsdf file") from None
+    if magic != _MEASURED_MAGIC:
+        raise BadInput(f"{name} is not a measured BSDF", where=spec, todo="give a .bsdf tensor file")
+    return MitsubaMaterial(spec, {"type": "measured", "filename": str(path.resolve())})
+
+
+def _pairs(spec: str, text: str) -> list[tuple[str, str]]:
+    pairs: dict[str, str] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not (key and equals and value):
+            raise BadInput(f"{item!r} is not key=value", where=spec, todo=_EXAMPLE)
+        if key in pairs:
+            raise BadInput(f"{key} is given twice", where=spec, todo="give it once")
+        pairs[key] = value
+    return list(pairs.items())
+
+
+def _numbers(spec: str, key: str, text: str) -> Value:
+    try:
+        values = tuple(float(part) for part in text.split("/"))
+    except ValueError:
+        raise BadInput(f"{key}={text} is not a number", where=spec, todo=_EXAMPLE) from None
+    if len(values) not in {1, CHANNELS}:
+        what = f"{key} has {len(values)} values"
+        raise BadInput(what, where=spec, todo="give one, or three as red/green/blue")
+    if not all(math.isfinite(value) for value in values):
+        raise BadInput(f"{key}={text} is not finite", where=spec, todo="correct the value")
+    return values[0] if len(values) == 1 else values
+
+
+def _option(spec: str, key: str, text: str) -> bool | float | str | tuple[float, ...]:
+    if text.lower() in {"true", "false"}:
+        return text.lower() == "true"
+    try:
+        float(text.partition("/")[0])
+    except ValueError:
+        return text
+    return _numbers(spec, key, text)
+
+
+def load_bsdf(mi: Any, material: Material) -> Any:
+    """Load a material's BSDF in Mitsuba's current variant.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with its variant set, and with `simulator.bsdfs.register` done for closed forms.
+    material : Material
+        What to load.
+
+    Returns
+    -------
+    mitsuba.BSDF
+
+    Raises
+    ------
+    BadInput
+        Mitsuba refuses it, or what it names is not a BSDF.
+    """
+    try:
+        loaded = mi.load_dict(material.plugin(), optimize=False)
+    except (RuntimeError, TypeError) as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise BadInput(reason, where=material.spec, todo="see Mitsuba's list of BSDF plugins") from None
+    if not isinstance(loaded, mi.BSDF):
+        raise BadInput("it is not a BSDF", where=material.spec, todo="see Mitsuba's list of BSDF plugins")
+    return loaded
+
+
+def station_materials(
+    stations: Mapping[str, str], materials: Mapping[str, str | Material], white_rho: float
+) -> dict[str, Material]:
+    """Decide what lies at each station.
+
+    Parameters
+    ----------
+    stations : mapping of str to str
+        Kind ("white", "trap" or "sample") by station; empty for a machine without a wheel, whose person
+        mounts what `materials` names.
+    materials : mapping of str to (str or Material)
+        Specification by station.
+    white_rho : float
+        True albedo of the white.
+
+    Returns
+    -------
+    dict of str to Material
+        By station; a sample's station that nothing was put on is absent: black.
+
+    Raises
+    ------
+    BadInput
+        A specification is wrong, or names a station that the machine does not have.
+    """
+    fixed = {"white": lambert(white_rho, spec="white"), "trap": lambert(0.0, spec="trap")}
+    kinds = stations or {name: name for name in fixed}
+    placed: dict[str, Material] = {name: fixed[kind] for name, kind in kinds.items() if kind in fixed}
+    for name, spec in materials.items():
+        if stations and name not in stations:
+            nearest = difflib.get_close_matches(name, stations, n=1)
+            hint = f"did you mean {nearest[0]}?" if nearest else f"it has {', '.join(stations)}"
+            raise BadInput(f"the machine has no station {name!r}", where="materials", todo=hint)
+        placed[name] = parse_material(spec)
+    return placed
