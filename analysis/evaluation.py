@@ -1,0 +1,120 @@
+"""A fit against its samples: residuals, pulls, and the angles by which people look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.angles import half_difference
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    from analysis.models.base import Model
+
+    Float = NDArray[np.float64]
+
+STEP_RAD = 1e-5
+"""Step of the central difference of a model along a joint's motion."""
+
+INDEPENDENT = ("u_noise", "u_white", "u_binning")
+"""Columns that scatter from sample to sample; `u_reference` moves all samples together and shows in no
+residual."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The angles of samples, radians, each (N,).
+
+    Attributes
+    ----------
+    theta_i, theta_o, theta_h : (N,) float
+        From the normal to light, camera and half vector.
+    off_plane : (N,) float
+        How far the camera lies off the plane of incidence: 0 in plane.
+    signed_theta_o : (N,) float
+        theta_o, positive on the mirror's side of the normal, negative on the light's.
+    """
+
+    theta_i: Float
+    theta_o: Float
+    theta_h: Float
+    off_plane: Float
+    signed_theta_o: Float
+
+
+def view_angles(wi: Float, wo: Float) -> View:
+    """Compute the angles of direction pairs wi, wo (N, 3)."""
+    theta_h, _, _, _ = half_difference(wi, wo)
+    sideways = np.hypot(wi[:, 0], wi[:, 1])
+    toward = np.where(sideways[:, None] > 1e-9, wi[:, :2] / np.maximum(sideways, 1e-300)[:, None], [1.0, 0.0])
+    along = -np.einsum("ij,ij->i", toward, wo[:, :2])
+    across = toward[:, 0] * wo[:, 1] - toward[:, 1] * wo[:, 0]
+    return View(
+        theta_i=np.arctan2(sideways, wi[:, 2]),
+        theta_o=np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2]),
+        theta_h=theta_h,
+        off_plane=np.arcsin(np.clip(across, -1.0, 1.0)),
+        signed_theta_o=np.arctan2(along, wo[:, 2]),
+    )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A model beside the samples it was fitted to; N samples, C channels.
+
+    Attributes
+    ----------
+    fitted, residual : (N, C) float
+        The model's f_r and samples minus model, 1/sr.
+    columns : dict of str to (N, C) float
+        Standard uncertainty by source, 1/sr: noise, white, reference, binning, pose; those that the samples
+        have.
+    pull : (N, C) float
+        Residual over what should scatter it; NaN without stated uncertainties.
+    """
+
+    fitted: Float
+    residual: Float
+    columns: dict[str, Float]
+    pull: Float
+
+
+def evaluate_fit(samples: xr.Dataset, model: Model) -> Evaluation:
+    """Set a fitted model beside samples with whatever uncertainty columns they carry."""
+    wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
+    measured = samples["f_r"].to_numpy()
+    fitted = np.broadcast_to(model.evaluate(wi, wo), measured.shape)
+    columns = {
+        name.removeprefix("u_"): samples[name].to_numpy()
+        for name in (*INDEPENDENT, "u_reference")
+        if name in samples
+    }
+    if "d_wi" in samples:
+        columns["pose"] = _pose_column(samples, model, measured.shape)
+    scatter = [columns[name] for name in ("noise", "white", "binning", "pose") if name in columns]
+    if not scatter and "u_f_r" in samples:
+        scatter = [samples["u_f_r"].to_numpy()]
+    total = np.sqrt(sum((column**2 for column in scatter), np.zeros(measured.shape)))
+    residual = measured - fitted
+    with np.errstate(invalid="ignore", divide="ignore"):
+        pull = np.where(total > 0, residual / total, np.nan)
+    return Evaluation(fitted, residual, columns, pull)
+
+
+def _pose_column(samples: xr.Dataset, model: Model, shape: tuple[int, ...]) -> Float:
+    """Uncertainty of f_r from the joints' angles, all joints in quadrature."""
+    wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
+    d_wi, d_wo = samples["d_wi"].to_numpy(), samples["d_wo"].to_numpy()
+    variance = np.zeros(shape)
+    for joint, u_rad in enumerate(samples["u_joint_rad"].to_numpy()):
+        after, before = (
+            model.evaluate(wi + step * d_wi[:, joint], wo + step * d_wo[:, joint])
+            for step in (STEP_RAD, -STEP_RAD)
+        )
+        variance += ((after - before) / (2 * STEP_RAD) * u_rad) ** 2
+    column: Float = np.sqrt(variance)
+    return column

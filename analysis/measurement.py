@@ -1,0 +1,324 @@
+"""The measurement equation for one pose: merged images and geometry to f_r with its uncertainty columns.
+
+For pixel p, with S the sample's radiance, W the white's, E the irradiance on the plane and V whatever the
+camera does to that pixel (vignetting, gain), S = f_s E_s V and W = (rho_w / pi) E_w V, so
+
+    f_s = S / X,   X = W (pi / rho_w) (E_s / E_w),
+
+where E = (d / r)^2 cos(theta_i) is the small lamp's irradiance from the pixel's own geometry (Nicodemus et
+al. 1977 for f_r = dL / dE). V cancels because both images come from the same pixel. A light trap's image,
+where one was taken at the pose, is subtracted from both. Bins take ratios of sums of S and X
+(`analysis.binning`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from capture.merge import Flag
+from rig.pixels import pixel_geometry
+
+from analysis.binning import Dropped, PixelSignals, bin_ratio, curvature, make_bins
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from rig.pixels import PixelGeometry
+
+    from analysis.binning import Bins
+    from analysis.white import WhiteReference
+    from rig.description import Rig
+
+    Float = NDArray[np.float64]
+    Int = NDArray[np.intp]
+
+UNUSABLE = Flag.OVER_RANGE | Flag.HOT | Flag.NEIGHBOUR_CLIPPED | Flag.INCONSISTENT
+"""Flags that keep a pixel out of a bin. Under-range pixels stay: dropping the dark ones would raise every
+dark bin."""
+
+STEP_RAD = 1e-4
+"""Step of the central differences of directions over joint angles; their error is of order 1e-9."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a person may choose about a reduction.
+
+    Attributes
+    ----------
+    bin_px : int
+        Edge of the square bins, pixels; even, so that every bin holds whole colour quads.
+    min_fill : float
+        Fraction of a channel's pixels in a bin that must be usable, 0 to 1.
+    edge_margin_mm : float
+        Rim of the sample that is left out: chipped edges, and the pose's own uncertainty.
+    max_theta_deg : float
+        Pixels seen or lit from beyond this angle from the normal are left out.
+    """
+
+    bin_px: int = 8
+    min_fill: float = 0.5
+    edge_margin_mm: float = 0.5
+    max_theta_deg: float = 85.0
+
+
+@dataclass(frozen=True)
+class Image:
+    """One merged image and the pose it was taken at.
+
+    Attributes
+    ----------
+    radiance, variance : (H, W) float
+        Counts per second above black, and their variance.
+    flags : (H, W) int
+        Bits of `capture.merge.Flag`.
+    angles_rad : (J,) float
+        Measured angles of the arms' joints, in the order of `rig.arm_joints`.
+    """
+
+    radiance: Float
+    variance: Float
+    flags: NDArray[np.integer]
+    angles_rad: Float
+
+
+@dataclass(frozen=True)
+class PoseImages:
+    """The merged images of one pose.
+
+    Attributes
+    ----------
+    sample, white : Image
+        Taken at the same pose, or a few encoder steps apart.
+    trap : Image or None
+        The light trap: stray light, subtracted from both.
+    """
+
+    sample: Image
+    white: Image
+    trap: Image | None = None
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """Which colour channel each pixel sees.
+
+    Attributes
+    ----------
+    channel : (H, W) int
+        Index into `names`.
+    names : tuple of str
+        The channels, for example R, G, B.
+    """
+
+    channel: Int
+    names: tuple[str, ...]
+
+    @classmethod
+    def repeat(cls, cfa: NDArray[np.integer], names: tuple[str, ...], shape: tuple[int, int]) -> Mosaic:
+        """Repeat a colour filter's period `cfa` (h, w) over an image of `shape`."""
+        rows, cols = (np.arange(n) % period for n, period in zip(shape, cfa.shape, strict=True))
+        return cls(np.asarray(cfa, dtype=np.intp)[np.ix_(rows, cols)], names)
+
+
+@dataclass(frozen=True)
+class PoseSamples:
+    """The samples of one pose; N samples, C channels, J joints.
+
+    Attributes
+    ----------
+    wi, wo : (N, 3) float
+        Unit directions to light and camera, sample frame.
+    f_r : (N, C) float
+        BRDF, 1/sr; NaN where `dropped` is not zero.
+    u_noise, u_white, u_reference, u_binning : (N, C) float
+        Standard uncertainty columns, 1/sr: the sample's noise, the white's, the white's reflectance, the
+        bin's size.
+    dropped : (N, C) int
+        Bits of `analysis.binning.Dropped`.
+    bin_index : (N,) int
+        The bin's number in the layout.
+    d_wi, d_wo : (N, J, 3) float
+        Change of the directions per radian of each joint.
+    pixel_flags : dict of str to int
+        How many of the sample's on-sample pixels carry each flag.
+    bins_dropped : dict of str to int
+        How many channel values were dropped for each reason, out of bins that saw the sample.
+    """
+
+    wi: Float
+    wo: Float
+    f_r: Float
+    u_noise: Float
+    u_white: Float
+    u_reference: Float
+    u_binning: Float
+    dropped: Int
+    bin_index: Int
+    d_wi: Float
+    d_wo: Float
+    pixel_flags: dict[str, int]
+    bins_dropped: dict[str, int]
+
+
+def reduce_pose(
+    rig: Rig,
+    images: PoseImages,
+    mosaic: Mosaic,
+    reference: WhiteReference,
+    *,
+    u_joint_rad: Float,
+    options: Options | None = None,
+) -> PoseSamples:
+    """Reduce one pose to BRDF samples.
+
+    Parameters
+    ----------
+    rig : Rig
+        The machine: distances, camera, sample.
+    images : PoseImages
+        Sample, white and possibly the light trap at the pose.
+    mosaic : Mosaic
+        The colour filter.
+    reference : WhiteReference
+        The white's reflectance.
+    u_joint_rad : (J,) float
+        Standard uncertainty of the joints' angles. It enters here only where white and sample were not taken
+        at the same joint angles, so that their irradiances do not share an error; else it acts through `d_wi`
+        and `d_wo`.
+    options : Options, optional
+        Bin size, margins.
+
+    Returns
+    -------
+    PoseSamples
+        The bins that have a value in at least one channel.
+    """
+    options = options or Options()
+    sample, white = images.sample, images.white
+    bins = make_bins(*sample.radiance.shape, options.bin_px)
+    sample_geometry = pixel_geometry(rig, sample.angles_rad)
+    same_pose = np.array_equal(sample.angles_rad, white.angles_rad)
+    white_geometry = sample_geometry if same_pose else pixel_geometry(rig, white.angles_rad)
+    geometries = (sample_geometry, white_geometry)
+    seen = np.logical_and.reduce([_well_seen(rig, geometry, options) for geometry in geometries])
+    pixels = _signals(images, geometries, _to_unit_f(rig, geometries, reference), seen)
+    binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
+    u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, sample, white, bins, u_joint_rad)
+    u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
+    kept = np.flatnonzero((binned.dropped == 0).any(axis=1))
+    d_wi, d_wo = _direction_derivatives(rig, sample.angles_rad, bins)
+    ratio, wi, wo = binned.ratio[kept], binned.wi[kept], binned.wo[kept]
+    relative_reference = reference.u_rho / reference.rho(wi, wo)
+    return PoseSamples(
+        wi=wi,
+        wo=wo,
+        f_r=ratio,
+        u_noise=binned.u_signal[kept],
+        u_white=np.hypot(binned.u_reference, np.abs(binned.ratio) * u_geometry)[kept],
+        u_reference=np.abs(ratio) * relative_reference[:, None],
+        u_binning=np.where(np.isfinite(ratio), u_binning[kept], np.nan),
+        dropped=binned.dropped[kept],
+        bin_index=kept,
+        d_wi=d_wi[kept],
+        d_wo=d_wo[kept],
+        pixel_flags=_count_flags(sample.flags[sample_geometry.on_sample]),
+        bins_dropped=_count_dropped(binned.dropped, binned.pixels),
+    )
+
+
+def irradiance(rig: Rig, geometry: PixelGeometry) -> Float:
+    """Give the small lamp's irradiance on each pixel's patch; 1 at the centre, lit from the normal."""
+    relative: Float = (rig.lamp.distance_mm / geometry.light_distance_mm) ** 2 * geometry.wi[..., 2]
+    return relative
+
+
+def _to_unit_f(
+    rig: Rig, geometries: tuple[PixelGeometry, PixelGeometry], reference: WhiteReference
+) -> tuple[Float, Float]:
+    """Give the factor from the white to what f = 1/sr would signal, and the irradiance on the sample."""
+    on_sample, on_white = geometries
+    e_sample, e_white = irradiance(rig, on_sample), irradiance(rig, on_white)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.pi / reference.rho(on_white.wi, on_white.wo) * e_sample / e_white, e_sample
+
+
+def _signals(
+    images: PoseImages,
+    geometries: tuple[PixelGeometry, PixelGeometry],
+    factors: tuple[Float, Float],
+    seen: NDArray[np.bool_],
+) -> PixelSignals:
+    """Put one pose's pixels into the form that binning takes."""
+    sample, white, trap = images.sample, images.white, images.trap
+    stray, stray_variance = (0.0, 0.0) if trap is None else (trap.radiance, trap.variance)
+    to_unit_f, e_sample = factors
+    taken = [sample, white] if trap is None else [sample, white, trap]
+    flags = np.bitwise_or.reduce([image.flags for image in taken])
+    finite = np.logical_and.reduce([np.isfinite(image.radiance + image.variance) for image in taken])
+    over = (flags & Flag.OVER_RANGE).astype(bool) & ~(flags & Flag.HOT).astype(bool)
+    return PixelSignals(
+        signal=sample.radiance - stray,
+        signal_variance=sample.variance + stray_variance,
+        reference=(white.radiance - stray) * to_unit_f,
+        reference_variance=(white.variance + stray_variance) * to_unit_f**2,
+        weight=e_sample,
+        usable=seen & finite & ~(flags & UNUSABLE).astype(bool),
+        clipped=seen & over,
+        wi=geometries[0].wi,
+        wo=geometries[0].wo,
+    )
+
+
+def _well_seen(rig: Rig, geometry: PixelGeometry, options: Options) -> NDArray[np.bool_]:
+    """Pixels whose patch lies on the sample, off its rim, lit and seen away from grazing."""
+    lowest = np.cos(np.deg2rad(options.max_theta_deg))
+    radius = np.hypot(geometry.position_mm[..., 0], geometry.position_mm[..., 1])
+    with np.errstate(invalid="ignore"):
+        inner = radius <= rig.sample.diameter_mm / 2 - options.edge_margin_mm
+        steep = (geometry.wi[..., 2] >= lowest) & (geometry.wo[..., 2] >= lowest)
+    seen: NDArray[np.bool_] = geometry.on_sample & inner & steep
+    return seen
+
+
+def _at_centres(rig: Rig, angles_rad: Float, bins: Bins) -> PixelGeometry:
+    rows, cols = bins.centres_px()
+    return pixel_geometry(rig, angles_rad, rows=rows, cols=cols)
+
+
+def _direction_derivatives(rig: Rig, angles_rad: Float, bins: Bins) -> tuple[Float, Float]:
+    """Central differences of the directions at the bins' centres over each joint; two (B, J, 3) arrays."""
+    derivatives: tuple[list[Float], list[Float]] = ([], [])
+    for step in np.eye(len(angles_rad)) * STEP_RAD:
+        after, before = (_at_centres(rig, angles_rad + sign * step, bins) for sign in (1, -1))
+        derivatives[0].append((after.wi - before.wi).reshape(-1, 3) / (2 * STEP_RAD))
+        derivatives[1].append((after.wo - before.wo).reshape(-1, 3) / (2 * STEP_RAD))
+    return np.stack(derivatives[0], axis=1), np.stack(derivatives[1], axis=1)
+
+
+def _irradiance_uncertainty(rig: Rig, sample: Image, white: Image, bins: Bins, u_joint_rad: Float) -> Float:
+    """Relative uncertainty (B, 1) of E_s / E_w from joints that moved between white and sample."""
+    variance = np.zeros(bins.count)
+    for joint in np.flatnonzero(sample.angles_rad != white.angles_rad):
+        step = np.eye(len(u_joint_rad))[joint] * STEP_RAD
+        for angles_rad in (sample.angles_rad, white.angles_rad):
+            after, before = (
+                irradiance(rig, _at_centres(rig, angles_rad + sign * step, bins)).ravel() for sign in (1, -1)
+            )
+            with np.errstate(invalid="ignore", divide="ignore"):
+                slope = (np.log(after) - np.log(before)) / (2 * STEP_RAD)
+            variance += (slope * u_joint_rad[joint]) ** 2
+    relative: Float = np.sqrt(variance)[:, None]
+    return relative
+
+
+def _count_flags(flags: NDArray[np.integer]) -> dict[str, int]:
+    return {str(flag.name).lower(): int(np.count_nonzero(flags & flag)) for flag in Flag}
+
+
+def _count_dropped(dropped: Int, pixels: Int) -> dict[str, int]:
+    on_sample = pixels.any(axis=1)
+    return {
+        str(reason.name).lower(): int(np.count_nonzero(dropped[on_sample] & reason)) for reason in Dropped
+    }

@@ -1,0 +1,198 @@
+"""A session to BRDF samples: frames to radiance, over the white, with geometry, to one table with its uncertainty.
+
+The physics is in `analysis.measurement`, the bins in `analysis.binning`; here poses are read, merged, reduced and
+put together, in the order of the plan, so that a session gives the same table bit for bit however often it was
+interrupted and however many threads reduce it.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.measurement import Options, PoseSamples, reduce_pose
+from analysis.samples import make_samples
+from analysis.session_images import SessionImages
+from analysis.white import white_of
+from rig.errors import BadInput
+from rig.ticks import tick_rad
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    from analysis.session_images import PosePair
+    from capture.session import Session
+    from rig.description import Rig
+
+    Float = NDArray[np.float64]
+
+THREADS = 2
+"""Decoding and merging release the interpreter; more threads than two wait for the disk."""
+
+
+@dataclass(frozen=True)
+class ReducedPose:
+    """One pose's samples and what they share with other poses.
+
+    Attributes
+    ----------
+    number : int
+        The pose's number in the plan.
+    white_number : int
+        The number of the white image it was divided by.
+    ticks : (J,) tuple of int
+        Encoder positions of the arms' joints.
+    samples : PoseSamples
+        The samples.
+    """
+
+    number: int
+    white_number: int
+    ticks: tuple[int, ...]
+    samples: PoseSamples
+
+
+def reduce_session(
+    session: Session, *, options: Options | None = None, progress: Callable[[], None] | None = None
+) -> xr.Dataset:
+    """Reduce every pose of a session that has both its sample and its white.
+
+    Parameters
+    ----------
+    session : Session
+        An opened session.
+    options : Options, optional
+        Bin size, margins.
+    progress : callable, optional
+        Called after each pose.
+
+    Returns
+    -------
+    Dataset
+        See `analysis.samples`.
+
+    Raises
+    ------
+    BadInput
+        For a session without a complete pose, or with a frame that cannot be read.
+    """
+    options = options or Options()
+    images = SessionImages(session)
+    pairs = images.pairs()
+    reference = white_of(session.rig)
+    mosaic = images.mosaic()
+    u_joint_rad = joint_resolution(session.rig)
+
+    def one(pair: PosePair) -> ReducedPose:
+        reduced = reduce_pose(
+            session.rig, images.load(pair), mosaic, reference, u_joint_rad=u_joint_rad, options=options
+        )
+        return ReducedPose(pair.sample.index, pair.white.index, images.arm_ticks(pair.sample), reduced)
+
+    poses = []
+    with ThreadPoolExecutor(THREADS) as pool:
+        for reduced in pool.map(one, pairs):
+            poses.append(reduced)
+            if progress is not None:
+                progress()
+    return assemble(
+        session.rig, poses, mosaic.names, options=options, source=session.name, provenance=images.provenance()
+    )
+
+
+def joint_resolution(rig: Rig) -> Float:
+    """Give the standard uncertainty of each arm joint's angle from its encoder's step, (J,) radians.
+
+    An even distribution over one step has the standard deviation step / sqrt(12) (GUM, JCGM 100:2008, F.2.2.1).
+    """
+    return np.array([tick_rad(joint) for joint in rig.arm_joints]) / math.sqrt(12)
+
+
+def assemble(
+    rig: Rig,
+    poses: Sequence[ReducedPose],
+    channels: Sequence[str],
+    *,
+    options: Options,
+    source: str = "",
+    provenance: Mapping[str, str] | None = None,
+) -> xr.Dataset:
+    """Put the samples of all poses into one table.
+
+    Parameters
+    ----------
+    rig : Rig
+        The machine: solid angles, joints.
+    poses : sequence of ReducedPose
+        In the order they are to have.
+    channels : sequence of str
+        Names of the channels.
+    options : Options
+        How they were reduced, recorded.
+    source : str
+        Where they come from.
+    provenance : mapping of str to str, optional
+        Hashes and versions, recorded as attributes.
+
+    Raises
+    ------
+    BadInput
+        Where no pose gave a sample.
+    """
+    parts = [pose.samples for pose in poses]
+    counts = [part.f_r.shape[0] for part in parts]
+    if not sum(counts):
+        raise BadInput(
+            "no bin has a value in any pose",
+            where=source or "session",
+            todo="look at the frames: is the sample lit, in view, and the white brighter than the dark?",
+        )
+
+    def joined(name: str) -> NDArray[np.generic]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    bins = 1 + max(int(part.bin_index.max(initial=0)) for part in parts)
+    white = np.repeat([pose.white_number for pose in poses], counts)
+    samples = make_samples(
+        joined("wi"),
+        joined("wo"),
+        joined("f_r"),
+        channels=channels,
+        source_solid_angle_sr=_disc_solid_angle(rig.lamp.diameter_mm, rig.lamp.distance_mm),
+        receiver_solid_angle_sr=_disc_solid_angle(rig.camera.aperture_diameter_mm, rig.camera.distance_mm),
+        source=source,
+        flags=joined("dropped"),
+        u_noise=joined("u_noise"),
+        u_white=joined("u_white"),
+        u_reference=joined("u_reference"),
+        u_binning=joined("u_binning"),
+        white_group=white * bins + joined("bin_index"),
+        pose=np.repeat([pose.number for pose in poses], counts),
+        d_wi=joined("d_wi"),
+        d_wo=joined("d_wo"),
+        u_joint_rad=joint_resolution(rig),
+    )
+    ticks = np.repeat(np.array([pose.ticks for pose in poses]), counts, axis=0)
+    samples["joint_group"] = (("sample", "joint"), ticks, {"units": "1"})
+    samples.attrs |= {f"option_{name}": value for name, value in asdict(options).items()}
+    samples.attrs |= _totals("pixels", [part.pixel_flags for part in parts])
+    samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])
+    samples.attrs |= dict(provenance or {})
+    return samples
+
+
+def _disc_solid_angle(diameter_mm: float, distance_mm: float) -> float:
+    """Solid angle of a disc seen from its axis, sr."""
+    return 2 * math.pi * (1 - math.cos(math.atan2(diameter_mm / 2, distance_mm)))
+
+
+def _totals(prefix: str, counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    names = counts[0] if counts else {}
+    return {f"{prefix}_{name}": sum(count[name] for count in counts) for name in names}
