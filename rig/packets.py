@@ -1,9 +1,9 @@
 """Dynamixel Protocol 2.0 on a serial port: the SDK's packets, with the SDK's defects mended.
 
-The SDK (ROBOTIS, `dynamixel-sdk` 4.x) builds, stuffs and checks packets. What it leaves open is closed here, each
-with a test: outgoing payloads that need stuffing are sent stuffed; missing data are missing, never 0; a hardware
-alert is reported beside the data and fails nothing; time is monotonic and the reply timeout is ours; waiting
-blocks instead of spinning; the port is opened exclusively; a late reply never answers the next request.
+The SDK (ROBOTIS, `dynamixel-sdk` 4.x) builds, stuffs and checks packets. What it leaves open is closed
+here, each with a test: outgoing payloads that need stuffing are sent stuffed; missing data are missing, never 0; a
+hardware alert is reported beside the data and fails nothing; time is monotonic and the reply timeout is ours;
+waiting blocks instead of spinning; the port is opened exclusively; a late reply never answers the next request.
 
 Nothing here is thread-safe: `rig.bus` gives one thread the wire.
 """
@@ -41,6 +41,10 @@ PING_PARAMETERS = 3
 """A ping's reply carries model number (2 bytes) and firmware (1); no register read has this length."""
 
 _ID, _LENGTH, _ERROR, _PARAMETERS, _CRC_BYTES = 4, 5, 8, 9, 2
+
+
+class PortLost(DeviceLost):
+    """The serial port itself is gone, and every servo with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +264,7 @@ class Wire:
             return action()
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
             # pyserial fails with TypeError or AttributeError when the port is closed while it waits.
-            raise DeviceLost(
+            raise PortLost(
                 f"the servo port is gone ({error})",
                 where=self.port,
                 todo="check cable, adapter and power, then run 'gonio rig check'",
@@ -306,8 +310,8 @@ class Wire:
     def _clear(self, servo_id: int) -> None:
         """Before talking again to a servo whose reply was lost, make sure that the reply cannot come late.
 
-        The protocol numbers no packets, but a servo answers in order: once a ping, whose reply has a length of
-        its own, is answered, whatever was asked before has been answered or never will be.
+        The protocol numbers no packets, but a servo answers in order: once a ping, whose reply has a length
+        of its own, is answered, whatever was asked before has been answered or never will be.
         """
         if servo_id not in self._suspects:
             return
