@@ -195,7 +195,7 @@ def mirror(w: npt.ArrayLike) -> FloatArray:
     -------
     ndarray, shape (..., 3)
     """
-    return np.asarray(w, dtype=np.float64) * np.array([-1.0, -1.0, 1.0])
+    return np.asarray(np.asarray(w, dtype=np.float64) * np.array([-1.0, -1.0, 1.0]))
 
 
 def rotation(axis: npt.ArrayLike, angle: npt.ArrayLike) -> FloatArray:
