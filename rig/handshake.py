@@ -316,12 +316,12 @@ def _registers(bus: ServoBus, servo_id: int) -> dict[str, int]:
 
 
 def configure(bus: ServoBus, handshake: Handshake) -> None:
-    """Make the servos agree with the rig file: EEPROM where it differs, profiles always, all read back.
+    """Write what the rig file wants: EEPROM where it differs, profiles always, all read back.
 
     Raises
     ------
     Refused
-        If EEPROM differs while torque is on (switching it off would let an arm fall), or a value does not stick.
+        If EEPROM differs while torque is on (an arm would fall), or a value does not stick.
     DeviceLost
         If a servo stops answering.
     """

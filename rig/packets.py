@@ -1,9 +1,9 @@
 """Dynamixel Protocol 2.0 on a serial port: the SDK's packets, with the SDK's defects mended.
 
-The SDK (ROBOTIS, `dynamixel-sdk` 4.x) builds, stuffs and checks packets. What it leaves open is closed
-here, each with a test: outgoing payloads that need stuffing are sent stuffed; missing data are missing, never 0; a
-hardware alert is reported beside the data and fails nothing; time is monotonic and the reply timeout is ours;
-waiting blocks instead of spinning; the port is opened exclusively; a late reply never answers the next request.
+The SDK (ROBOTIS, `dynamixel-sdk` 4.x) builds, stuffs and checks packets. What it leaves open is closed here:
+outgoing payloads that need stuffing are sent stuffed; missing data are missing, never 0; a hardware alert is
+reported beside the data and fails nothing; time is monotonic and the reply timeout is ours; waiting blocks
+instead of spinning; the port is opened exclusively; a late reply never answers the next request.
 
 Nothing here is thread-safe: `rig.bus` gives one thread the wire.
 """

@@ -196,7 +196,7 @@ class Servos:
         return tuple(map(self._halt_one, self.ids))
 
     def _adopt(self, states: Mapping[int, State], handshake: Handshake) -> None:
-        """Goal := present, except where a servo already holds its goal: an arm that sags would sink further."""
+        """Goal := present, except where a servo holds its goal: a sagging arm would sink further."""
         torque = {
             row.spec.servo_id: row.found and row.found.registers["torque_enable"] for row in handshake.rows
         }
@@ -317,7 +317,8 @@ class Servos:
         """Goal := present, unless the synchronous write has already done it."""
         state = self._state(servo_id)
         goal = self.specs[servo_id].clamp(state["present_position"])
-        if abs(state["goal_position"] - goal) > self.specs[servo_id].tolerance and state["moving"]:
+        distance = abs(state["goal_position"] - goal)
+        if distance > STOP_TICKS or (state["moving"] and distance > self.specs[servo_id].tolerance):
             self.bus.write(servo_id, "goal_position", goal, urgent=True)
         return ""
 
