@@ -1,0 +1,89 @@
+"""The formats that samples come in, told apart by content: a suffix is a wish, not a fact.
+
+Each module offers `NAME`, `OPTIONS`, `sniff(head) -> bool` and `read(path, ...) -> Dataset`; some also
+`SUFFIX` and `write(samples, path)`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import ModuleType
+
+    import xarray as xr
+
+NAMES = ("netcdf", "rt300s", "npz", "csv", "cornell")
+HEAD_BYTES = 65536
+LARGEST_BYTES = 4 * 1024**3
+SESSION_FILE = "samples.nc"
+
+
+def _modules() -> list[ModuleType]:
+    return [importlib.import_module(f"analysis.formats.{name}") for name in NAMES]
+
+
+def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
+    """Read a file of any known format; see `analysis.samples.read`.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, empty, too large, of no known format, damaged, or an option does not apply.
+    """
+    if path.is_dir():
+        inside = path / SESSION_FILE
+        if not inside.exists():
+            raise BadInput(f"holds no {SESSION_FILE}", where=str(path), todo=f"run gonio reduce {path} first")
+        path = inside
+    module = _recognise(path)
+    given = {name: value for name, value in options.items() if value not in (None, False)}
+    for name in given:
+        if name not in module.OPTIONS:
+            raise BadInput(
+                f"{name.replace('_', ' ')} means nothing to {module.NAME}",
+                where=str(path),
+                todo="leave it out",
+            )
+    samples: xr.Dataset = module.read(path, **given)
+    return samples
+
+
+def write(samples: xr.Dataset, path: Path) -> None:
+    """Write samples in the format that the name's end asks for; see `analysis.samples.write`.
+
+    Raises
+    ------
+    BadInput
+        If no format is written under that suffix.
+    """
+    writers = {module.SUFFIX: module for module in _modules() if hasattr(module, "SUFFIX")}
+    if path.suffix.lower() not in writers:
+        raise BadInput(
+            f"no format is written as '{path.suffix}'",
+            where=str(path),
+            todo=f"end the name in {', '.join(writers)}",
+        )
+    writers[path.suffix.lower()].write(samples, path)
+
+
+def _recognise(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise BadInput("no such file", where=str(path), todo="check the path")
+    size = path.stat().st_size
+    if size == 0:
+        raise BadInput("is empty", where=str(path), todo="copy it again from where it was made")
+    if size > LARGEST_BYTES:
+        raise BadInput(f"is {size / 1024**3:.1f} GB, more than gonio reads", where=str(path))
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    modules = _modules()
+    for module in modules:
+        if module.sniff(head):
+            return module
+    known = ", ".join(str(module.NAME) for module in modules)
+    raise BadInput("is of no format that gonio reads", where=str(path), todo=f"it reads {known}")

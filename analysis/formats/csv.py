@@ -1,0 +1,136 @@
+"""A table for people: named columns, angles in degrees, one row a sample.
+
+Required columns: `theta_i_deg`, `phi_i_deg`, `theta_o_deg`, `phi_o_deg` and the BRDF, either `f_r` or one
+`f_r_NAME` a channel; optional `u_f_r` or `u_f_r_NAME`. A NAME like `550nm` is a wavelength. Lines that start
+with `#` are comments. Correlated uncertainty columns do not fit in a table: NetCDF keeps them.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.samples import make_samples
+from rig.angles import direction_to_spherical, spherical_to_direction
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+NAME = "gonio CSV"
+SUFFIX = ".csv"
+OPTIONS: tuple[str, ...] = ()
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
+_WAVELENGTH = re.compile(r"\A(\d+(?:\.\d+)?) ?nm\Z")
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the first line that is not a comment names the columns."""
+    if not looks_like_text(head):
+        return False
+    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+        if line.strip() and not line.lstrip().startswith("#"):
+            return ANGLES[0] in line
+    return False
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read samples.
+
+    Raises
+    ------
+    BadInput
+        If a column is missing, unknown or double, a row has the wrong length, or a cell is no finite number;
+        names line and column.
+    """
+    lines = [
+        (line, text)
+        for line, text in enumerate(read_lines(path), start=1)
+        if text.strip() and not text.lstrip().startswith("#")
+    ]
+    header_line, header_text = lines[0]
+    header = [cell.strip() for cell in next(csv.reader([header_text]))]
+    values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
+    rows = []
+    for (line, _), cells in zip(lines[1:], csv.reader(text for _, text in lines[1:]), strict=False):
+        if len(cells) != len(header):
+            raise BadInput(
+                f"has {len(cells)} cells, the header {len(header)}",
+                where=f"{path}: line {line}",
+                todo="complete the row, separate cells by commas and write decimals with a point",
+            )
+        rows.append(
+            [
+                number(cell.strip(), where=f"{path}: line {line}, column {name}")
+                for name, cell in zip(header, cells, strict=True)
+            ]
+        )
+    if not rows:
+        raise BadInput("has a header but no rows", where=str(path), todo="add samples")
+    table = dict(zip(header, np.array(rows).T, strict=True))
+    theta_i, phi_i, theta_o, phi_o = (np.radians(table[name]) for name in ANGLES)
+    names = [name.removeprefix("f_r").removeprefix("_") for name in values]
+    matches = [_WAVELENGTH.match(name) for name in names]
+    try:
+        return make_samples(
+            spherical_to_direction(theta_i, phi_i),
+            spherical_to_direction(theta_o, phi_o),
+            np.stack([table[name] for name in values], axis=1),
+            channels=None if names == [""] else names,
+            wavelength_nm=[float(m.group(1)) for m in matches if m] if all(matches) else None,
+            u_f_r=np.stack([table[name] for name in uncertainties], axis=1) if uncertainties else None,
+            source=path.name,
+        )
+    except BadInput as error:
+        raise BadInput(str(error), where=str(path)) from None
+
+
+def write(samples: xr.Dataset, path: Path) -> None:
+    """Write angles, f_r and u_f_r; samples without a value or with a flag are left out."""
+    names = [str(name).replace(" ", "") for name in samples["channel"].to_numpy()]
+    suffixes = [""] if len(names) == 1 and "wavelength_nm" not in samples.coords else [f"_{n}" for n in names]
+    header = [*ANGLES, *(f"f_r{s}" for s in suffixes)]
+    angles = [angle for name in ("wi", "wo") for angle in direction_to_spherical(samples[name].to_numpy())]
+    columns = [*np.degrees(np.stack(angles)), *samples["f_r"].to_numpy().T]
+    if "u_f_r" in samples:
+        header += [f"u_f_r{s}" for s in suffixes]
+        columns += [*samples["u_f_r"].to_numpy().T]
+    usable = np.isfinite(np.stack(columns)).all(axis=0) & (samples["flags"].to_numpy() == 0).all(axis=1)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        writer.writerows([repr(float(cell)) for cell in row] for row in np.stack(columns, axis=1)[usable])
+
+
+def _columns(header: list[str], *, where: str) -> tuple[list[str], list[str]]:
+    """Return the names of the value columns, and of the uncertainty columns in the same order."""
+    double = sorted({name for name in header if header.count(name) > 1})
+    if double:
+        raise BadInput(f"column {double[0]} appears twice", where=where, todo="name each column once")
+    missing = [name for name in ANGLES if name not in header]
+    if missing:
+        raise BadInput(
+            f"has no column {missing[0]}", where=where, todo=f"name the columns {', '.join(ANGLES)}, f_r"
+        )
+    values = [name for name in header if name == "f_r" or name.startswith("f_r_")]
+    uncertainties = [name for name in header if name == "u_f_r" or name.startswith("u_f_r_")]
+    unknown = [name for name in header if name not in {*ANGLES, *values, *uncertainties}]
+    if unknown:
+        raise BadInput(
+            f"unknown column '{unknown[0]}'", where=where, todo=f"known: {', '.join(ANGLES)}, f_r, u_f_r"
+        )
+    if not values:
+        raise BadInput(
+            "has no column f_r", where=where, todo="name the BRDF f_r, or f_r_NAME for each channel"
+        )
+    if uncertainties and sorted(uncertainties) != sorted(f"u_{name}" for name in values):
+        raise BadInput(
+            "needs a column u_f_r for each f_r or for none", where=where, todo="complete the uncertainties"
+        )
+    return values, [f"u_{name}" for name in values] if uncertainties else []
