@@ -138,8 +138,8 @@ def _into_limits(kinematics: Kinematics, angles: FloatArray, near: FloatArray) -
     chosen = np.empty_like(angles)
     beyond = np.empty_like(angles)
     for place, (low, high) in enumerate(kinematics.limits_rad):
-        turns = 2.0 * math.pi * np.arange(-2, 3)
-        options = np.concatenate([wrap(angles[place]) + turns, angles[place] + turns[2:3]])
+        first, last = math.floor(low / (2.0 * math.pi)), math.ceil(high / (2.0 * math.pi))
+        options = wrap(angles[place]) + 2.0 * math.pi * np.arange(first, last + 1)
         outside = np.maximum(np.maximum(low - options, options - high), 0.0)
         # Less than half a tick outside, the servo's nearest position is the limit itself.
         slack = kinematics.ticks_rad[place] / 2.0

@@ -1,0 +1,126 @@
+"""What the parts of a machine must agree on, beyond each field's own range."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rig.control_table import MODELS
+from rig.rig_errors import cross_field, nearest
+from rig.ticks import TICKS_PER_TURN
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pydantic_core import PydanticCustomError
+
+    from rig.description import Joint, Rig
+
+
+def contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    """Find what the parts of a machine cannot know of each other, most basic first.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its fields are valid one by one.
+
+    Yields
+    ------
+    PydanticCustomError
+        Of `rig.rig_errors.cross_field`.
+    """
+    yield from _duplicates(rig)
+    for place, joint in enumerate(rig.joints):
+        yield from _joint_contradictions(joint, f"joints[{place}]")
+    yield from _arm_contradictions(rig)
+    yield from _station_contradictions(rig)
+    camera = rig.camera
+    if camera.shortest_exposure_s > camera.longest_exposure_s:
+        yield cross_field(
+            "camera.shortest_exposure_s",
+            camera.shortest_exposure_s,
+            f"at most longest_exposure_s = {camera.longest_exposure_s:g}",
+        )
+    column, row = camera.principal_point_px
+    if not (-0.5 <= column <= camera.width_px - 0.5 and -0.5 <= row <= camera.height_px - 0.5):
+        yield cross_field(
+            "camera.principal_point_px",
+            [column, row],
+            f"a point inside the frame of {camera.width_px} x {camera.height_px} pixels",
+        )
+
+
+def _duplicates(rig: Rig) -> Iterator[PydanticCustomError]:
+    names: dict[str, int] = {}
+    ids: dict[int, int] = {}
+    for place, joint in enumerate(rig.joints):
+        if joint.name in names:
+            yield cross_field(
+                f"joints[{place}].name", joint.name, f"another name: joints[{names[joint.name]}] has it"
+            )
+        if joint.id in ids:
+            yield cross_field(f"joints[{place}].id", joint.id, f"another id: joints[{ids[joint.id]}] has it")
+        names[joint.name], ids[joint.id] = place, place
+
+
+def _joint_contradictions(joint: Joint, where: str) -> Iterator[PydanticCustomError]:
+    low, high = joint.limits_deg
+    if joint.model not in MODELS:
+        yield cross_field(f"{where}.model", joint.model, f"a known servo model{nearest(joint.model, MODELS)}")
+    if not any(joint.axis):
+        yield cross_field(f"{where}.axis", list(joint.axis), "an axis that is not zero")
+    if not low < high:
+        yield cross_field(f"{where}.limits_deg", [low, high], "low < high")
+    if not low <= 0.0 <= high:
+        yield cross_field(f"{where}.limits_deg", [low, high], "low <= 0 <= high, as zero_ticks is angle 0")
+    deg_per_tick = 360.0 / TICKS_PER_TURN / joint.gear_ratio
+    lowest = -joint.zero_ticks * deg_per_tick
+    highest = (TICKS_PER_TURN - 1 - joint.zero_ticks) * deg_per_tick
+    half_a_tick = deg_per_tick / 2.0
+    if low < lowest - half_a_tick or high >= highest + half_a_tick:
+        # Rounded inwards, so that a person can copy the numbers.
+        reach = f"{math.ceil(lowest * 100) / 100:g} to {math.floor(highest * 100) / 100:g}"
+        yield cross_field(f"{where}.limits_deg", [low, high], f"within one turn of the servo, {reach}")
+    if not low <= joint.park_deg <= high:
+        yield cross_field(f"{where}.park_deg", joint.park_deg, f"within limits_deg, {low:g} to {high:g}")
+
+
+def _arm_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    names = [joint.name for joint in rig.joints]
+    used: dict[str, str] = {}
+    for arm, chain in rig.arms:
+        for place, name in enumerate(chain):
+            field = f"arms.{arm}[{place}]"
+            if name not in names:
+                yield cross_field(field, name, f"the name of a joint{nearest(name, names)}")
+            if name in chain[:place]:
+                yield cross_field(field, name, "each joint once in an arm")
+            if arm == "station" and name in used:
+                yield cross_field(field, name, f"a joint of its own: arms.{used[name]} has it")
+            used[name] = arm
+    for place, name in enumerate(names):
+        if name not in used:
+            yield cross_field(
+                f"joints[{place}].name", name, "a joint that arms names; this one moves nothing"
+            )
+
+
+def _station_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    wheel = rig.station_joint
+    if rig.stations and wheel is None:
+        yield cross_field(
+            "arms.station", [], f"the wheel's joint, as stations has {', '.join(sorted(rig.stations))}"
+        )
+    if wheel is None:
+        return
+    if not rig.stations:
+        yield cross_field("stations", {}, f"at least one station, as arms.station names {wheel.name}")
+    low, high = wheel.limits_deg
+    for name, station in rig.stations.items():
+        if not low <= station.angle_deg <= high:
+            yield cross_field(
+                f"stations.{name}.angle_deg",
+                station.angle_deg,
+                f"within the limits of {wheel.name}, {low:g} to {high:g}",
+            )
