@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput
+from simulator.bsdfs import PLUGIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,7 +27,6 @@ CHANNELS = 3
 MITSUBA_PREFIX = "mitsuba"
 MEASURED_PREFIX = "bsdf"
 _EXAMPLE = "write for example lambert:kd=0.5"
-_CLOSED_FORM_PLUGIN = "gonio"
 _MEASURED_MAGIC = b"tensor_file\0"
 
 Value = float | tuple[float, ...]
@@ -66,7 +66,9 @@ class ClosedFormMaterial:
 
     def plugin(self) -> dict[str, Any]:
         """Return the description that Mitsuba loads once `simulator.bsdfs` is registered."""
-        return {"type": _CLOSED_FORM_PLUGIN, "model": self.model, **_flat(self.truth)}
+        if self.model == "lambert":
+            return {"type": "diffuse", "reflectance": {"type": "rgb", "value": self.truth["kd"]}}
+        return {"type": PLUGIN, "model": self.model, **_flat(self.truth)}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,124 @@
+"""The rig as Mitsuba sees it: a flat sample at the origin, a small lamp, a pinhole, perhaps a housing.
+
+Lengths stay in millimetres. The lamp's intensity is its distance squared, so that the irradiance at the
+sample's centre at normal incidence is 1 and a white of albedo rho has a radiance of rho/pi.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.kinematics import Kinematics
+from rig.pixels import pixel_geometry
+
+if TYPE_CHECKING:
+    from rig.description import Rig
+
+Array = NDArray[np.float64]
+
+
+def lamp_intensity(rig: Rig) -> float:
+    """Radiant intensity of the lamp at level 1, in mm^2 times the unit of irradiance."""
+    return rig.lamp.distance_mm**2
+
+
+def camera_rays(rig: Rig) -> Array:
+    """Trace the lens: unit directions of the rays through the pixels' centres, in the camera's frame.
+
+    Parameters
+    ----------
+    rig : Rig
+        Whose camera is meant.
+
+    Returns
+    -------
+    ndarray, shape (height * width, 3)
+        Right, down, forward, row by row; backwards, where nothing is, for a pixel that the lens gives no ray.
+    """
+    park = np.zeros(len(rig.arm_joints))
+    to_sample = -pixel_geometry(rig, park).wo.reshape(-1, 3)
+    rays = to_sample @ Kinematics(rig).frames(park).camera_rotation
+    return np.where(np.isnan(rays), [0.0, 0.0, -1.0], rays)
+
+
+def point_lamp(rig: Rig) -> dict[str, Any]:
+    """Return the lamp as a point of equal intensity in all directions."""
+    return {
+        "type": "point",
+        "position": [0.0, 0.0, rig.lamp.distance_mm],
+        "intensity": {"type": "rgb", "value": lamp_intensity(rig)},
+    }
+
+
+def sphere_lamp(mi: Any, rig: Rig) -> dict[str, Any]:
+    """Return the lamp as a sphere of its diameter, which mirrors can show.
+
+    A uniform sphere lights a surface exactly as a point of intensity pi radius^2 radiance does.
+    """
+    radius_mm = rig.lamp.diameter_mm / 2.0
+    radiance = lamp_intensity(rig) / (math.pi * radius_mm**2)
+    return {
+        "type": "sphere",
+        "to_world": sphere_lamp_placed(mi, rig, np.array([0.0, 0.0, rig.lamp.distance_mm])),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
+    }
+
+
+def sphere_lamp_placed(mi: Any, rig: Rig, light_mm: Array) -> Any:
+    """Return the transformation of the unit sphere that puts the lamp at a place."""
+    place = mi.ScalarTransform4f().translate(light_mm.tolist())
+    return place @ mi.ScalarTransform4f().scale(rig.lamp.diameter_mm / 2.0)
+
+
+def black() -> dict[str, Any]:
+    """Return a surface that reflects nothing."""
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+
+
+def housing(mi: Any, albedo: float, half_size_mm: float) -> dict[str, Any]:
+    """Return a cube around everything, grey inside."""
+    return {
+        "type": "cube",
+        "flip_normals": True,
+        "to_world": mi.ScalarTransform4f().scale(half_size_mm),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}},
+    }
+
+
+def camera_placed(mi: Any, camera_mm: Array, camera_rotation: Array) -> Any:
+    """Return the camera's transformation; Mitsuba's camera has +x to the left, +y up and looks along +z."""
+    right, down, forward = camera_rotation.T
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = -right, -down, forward, camera_mm
+    return mi.ScalarTransform4f(matrix.tolist())
+
+
+def perspective_camera(mi: Any, rig: Rig, samples_per_pixel: int) -> dict[str, Any]:
+    """Return the rig's pinhole, without distortion, which Mitsuba's cannot have."""
+    camera = rig.camera
+    width, height = camera.width_px, camera.height_px
+    overview_mm = 4.0 * (camera.distance_mm + rig.lamp.distance_mm)
+    return {
+        "type": "perspective",
+        "fov_axis": "x",
+        "fov": math.degrees(2.0 * math.atan2(width / 2.0, camera.focal_length_px)),
+        "principal_point_offset_x": 0.5 - (camera.principal_point_px[0] + 0.5) / width,
+        "principal_point_offset_y": 0.5 - (camera.principal_point_px[1] + 0.5) / height,
+        # Mitsuba's own far clip would render a large rig black without a word.
+        "near_clip": 1e-4 * camera.distance_mm,
+        "far_clip": 10.0 * overview_mm,
+        "to_world": camera_placed(mi, np.array([0.0, 0.0, camera.distance_mm]), np.diag([1.0, -1.0, -1.0])),
+        "sampler": {"type": "independent", "sample_count": samples_per_pixel},
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+    }
