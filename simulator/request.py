@@ -20,7 +20,7 @@ class FrameRequest:
         The station that the wheel holds under the camera, by its name in the rig file; None where the machine
         has no wheel or the wheel stands between two stations.
     ticks : dict of str to int
-        The tick that each servo reports, by joint name, station wheel included.
+        The encoder tick that each shaft holds, by joint name, station wheel included.
     angles_rad : tuple of float
         The true angles of the arm joints, in the order of `rig.arm_joints`, sub-tick residual included.
     level : float
