@@ -1,8 +1,8 @@
 """The light process: renders frames, in a process of its own so that rendering never delays a reply.
 
-Run as `python -m simulator.light_process`. Lines of JSON come in and go out: first a `LightSettings`, answered
-by what the wire process needs to know of the machine; then exposures, each answered by the frame's path. It
-is also the only process of the twin that loads the rig file, and with it the heavy libraries.
+Run as `python -m simulator.light_process`. Lines of JSON come in and go out: first a `LightSettings`,
+answered by what the wire process needs to know of the machine; then exposures, each answered by the frame's
+path. It is also the only process of the twin that loads the rig file, and with it the heavy libraries.
 """
 
 from __future__ import annotations

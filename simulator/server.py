@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,46 +30,13 @@ from simulator.wire_log import WireLog
 if TYPE_CHECKING:
     from types import FrameType
 
+    from simulator.options import TwinSettings
+
 Announce = Callable[[dict[str, Any]], None]
 """Called once with the twin's ports when it serves."""
 
 _FLUSH_S = 0.1
 _HANG_UP = select.EPOLLHUP
-
-
-@dataclass(frozen=True)
-class TwinSettings:
-    """What a twin is started with.
-
-    Parameters
-    ----------
-    materials : dict of str to str
-        Material by station; the others hold what the light process gives them.
-    seed : int
-        Decides sub-tick offsets, noise, and the truth about the white.
-    speed : float
-        How many times faster than the clock motion and exposures run.
-    rig : str or None
-        Rig file of the machine to be; None for the default machine.
-    folder : str or None
-        Where everything is put and stays; None for a folder that goes with the twin.
-    log : bool
-        Whether to keep a log of the wires.
-    variant : str or None
-        Mitsuba's variant, None to choose.
-    commands : int or None
-        A descriptor: the twin ends with its other end, and each line on it flushes the log and is answered on
-        standard output.
-    """
-
-    materials: dict[str, str] = field(default_factory=dict)
-    seed: int = 0
-    speed: float = 1.0
-    rig: str | None = None
-    folder: str | None = None
-    log: bool = True
-    variant: str | None = None
-    commands: int | None = None
 
 
 def serve(settings: TwinSettings, announce: Announce) -> int:

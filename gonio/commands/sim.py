@@ -1,0 +1,45 @@
+"""Start the twin: servos and lamp on pseudo-terminals, a hot folder where frames arrive, until Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+from gonio.output import add_json_option, print_json
+from rig.errors import Refused
+
+if TYPE_CHECKING:
+    import argparse
+
+EXAMPLE = "gonio sim --speed 10 --station sample1=cook-torrance:kd=0.1,ks=0.5,m=0.2,ior=1.5"
+
+_EXIT_BY_SIGNAL = 128
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    from simulator.options import add_twin_options
+
+    add_twin_options(parser)
+    add_json_option(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until a signal comes: 130 after Ctrl-C, 143 after SIGTERM."""
+    if sys.platform != "linux":
+        raise Refused("the twin needs Linux's pseudo-terminals", where="gonio sim", todo="run it on Linux")
+    from simulator.options import settings_from
+    from simulator.server import serve
+
+    ended_by = serve(settings_from(options), print_json if options.json else _print_ports)
+    return _EXIT_BY_SIGNAL + (ended_by or signal.SIGTERM)
+
+
+def _print_ports(ready: dict[str, Any]) -> None:
+    ids = ", ".join(map(str, ready["ids"]))
+    print(f"servos  {ready['servos']}  {ready['baud']} baud, any works; ids {ids}")
+    print(f"lamp    {ready['lamp']}  115200 baud, lines of text")
+    print(f"frames  {ready['frames']}")
+    print(f"rig     {ready['rig']}")
+    print(f"Try: gonio rig check {ready['rig']}        Stop with Ctrl-C.", flush=True)

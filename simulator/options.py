@@ -1,0 +1,93 @@
+"""The options that describe a twin, for `gonio sim` and `python -m simulator`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    import argparse
+
+
+@dataclass(frozen=True)
+class TwinSettings:
+    """What a twin is started with.
+
+    Parameters
+    ----------
+    materials : dict of str to str
+        Material by station; the others hold what the light process gives them.
+    seed : int
+        Decides sub-tick offsets, noise, and the truth about the white.
+    speed : float
+        How many times faster than the clock motion and exposures run.
+    rig : str or None
+        Rig file of the machine to be; None for the default machine.
+    folder : str or None
+        Where everything is put and stays; None for a folder that goes with the twin.
+    log : bool
+        Whether to keep a log of the wires.
+    variant : str or None
+        Mitsuba's variant, None to choose.
+    commands : int or None
+        A descriptor: the twin ends with its other end, and each line on it flushes the log and is answered on
+        standard output.
+    """
+
+    materials: dict[str, str] = field(default_factory=dict)
+    seed: int = 0
+    speed: float = 1.0
+    rig: str | None = None
+    folder: str | None = None
+    log: bool = True
+    variant: str | None = None
+    commands: int | None = None
+
+
+def add_twin_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe a twin."""
+    parser.add_argument("--seed", type=int, default=0, help="decides noise and every hidden truth")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="K", help="motion and exposures run K times faster"
+    )
+    parser.add_argument("--folder", metavar="DIR", help="where to put everything; kept (default: temporary)")
+    parser.add_argument("--rig", metavar="FILE", help="a rig.toml to imitate (default: the default machine)")
+    parser.add_argument(
+        "--station",
+        action="append",
+        default=[],
+        metavar="NAME=MATERIAL",
+        help="what a station holds, such as sample1=lambert:kd=0.5; may be repeated",
+    )
+    parser.add_argument(
+        "--variant", help="Mitsuba's variant, scalar or llvm (default: the fastest that works)"
+    )
+    parser.add_argument("--no-log", action="store_true", help="keep no log of the wires")
+
+
+def settings_from(options: argparse.Namespace, *, commands: int | None = None) -> TwinSettings:
+    """Turn options into settings.
+
+    Raises
+    ------
+    BadInput
+        A station without a material.
+    """
+    materials = {}
+    for station in options.station:
+        name, separator, material = station.partition("=")
+        if not (name and separator and material):
+            raise BadInput(f"cannot read {station!r}", where="--station", todo="write NAME=MATERIAL")
+        materials[name] = material
+    return TwinSettings(
+        materials=materials,
+        seed=options.seed,
+        speed=options.speed,
+        rig=options.rig,
+        folder=options.folder,
+        log=not options.no_log,
+        variant=options.variant,
+        commands=commands,
+    )
