@@ -274,6 +274,7 @@ class Lamp:
             )
             self._check(error, verb)
         if light != "1" and not dark and self.mode != "LAMP":
+            self.command("SHUT:ABOR")
             raise Transient("the light went out before it", where=f"shot {shot_id}", todo="make it again")
         self._wait(state, before, shot_id, self.shutter_s(exposure_s))
 

@@ -1,0 +1,265 @@
+"""A camera that is triggered by the lamp controller and whose RAW files arrive in a folder.
+
+Whose file it is, is proved, not assumed: it is new, its size is stable, it decodes, and camera, exposure,
+light and (where it carries one) the shot's name match. Everything else is a stray, with the reason.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from rig.errors import BadInput, DeviceLost, Refused, Transient
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+POLL_S = 0.005
+"""Pause between two looks into the folder."""
+
+CLOCK_SLACK_S = 2.0
+"""How much older than the trigger a file's time may read: other clocks, coarse file systems."""
+
+EXPOSURE_RATIO = 2.0 ** (1.0 / 6.0)
+"""Cameras round exposure times; half a third-stop apart is still the same step, more is another one."""
+
+RAW_SUFFIXES = frozenset(
+    {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".raw", ".rw2", ".tif", ".tiff"}
+)
+PARTIAL_SUFFIXES = frozenset({".part", ".partial", ".tmp", ".crdownload", ".lock"})
+
+
+class FrameFacts(Protocol):
+    """What a file says of itself; None where it says nothing."""
+
+    @property
+    def camera_serial(self) -> str | None:
+        """Serial number of the camera."""
+
+    @property
+    def shutter_s(self) -> float | None:
+        """How long the shutter was open."""
+
+    @property
+    def lit(self) -> bool | None:
+        """Whether the lamp was on."""
+
+    @property
+    def shot_id(self) -> str | None:
+        """Name of the shot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """The folder at the moment of a trigger: what was there already cannot be its picture."""
+
+    files: frozenset[tuple[str, int, int]]
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """A file that is not the picture waited for."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    shot_id: str
+    shutter_s: float
+    lit: bool | None
+    mark: Mark
+
+
+class HotFolder:
+    """The folder into which one camera's files fall.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    serial : str
+        The camera's serial number; "" accepts any.
+    inspect : callable
+        Path -> facts of a frame; raises `BadInput` where it does not decode.
+    on_stray : callable, optional
+        Told of every stray, once.
+
+    Raises
+    ------
+    BadInput
+        If the folder does not exist.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        serial: str,
+        inspect: Callable[[Path], FrameFacts],
+        on_stray: Callable[[Stray], None] | None = None,
+    ) -> None:
+        if not folder.is_dir():
+            raise BadInput(
+                "no such folder for the camera's files",
+                where=str(folder),
+                todo="make it, or name another with --frames",
+            )
+        self.folder, self.serial = folder, serial
+        self.on_stray = on_stray
+        self._inspect = inspect
+        self._reported: set[tuple[str, int, int]] = set()
+
+    def mark(self) -> Mark:
+        """Remember what is there, right before a trigger."""
+        return Mark(frozenset(entry for _, entry in self._entries()), time.time())
+
+    def wait_for(
+        self,
+        shot_id: str,
+        shutter_s: float,
+        newer_than: Mark,
+        timeout_s: float,
+        *,
+        lit: bool | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Path:
+        """Wait for the picture of one shot.
+
+        Parameters
+        ----------
+        shot_id : str
+            The shot's name, compared where the file carries one.
+        shutter_s : float
+            How long the shutter was open, compared to a sixth of a stop where the file carries it.
+        newer_than : Mark
+            The folder before the trigger.
+        timeout_s : float
+            Deadline.
+        lit : bool, optional
+            Whether the lamp was on, compared where the file carries it.
+        cancelled : callable
+            Asked at every look; true ends the waiting.
+
+        Returns
+        -------
+        Path
+            A complete, decodable file in the folder.
+
+        Raises
+        ------
+        Transient
+            If something arrived, but not the picture; the shot can be made again.
+        DeviceLost
+            If nothing arrived: the camera is off, or not triggered.
+        Refused
+            If the waiting was cancelled.
+        """
+        wanted = _Wanted(shot_id, shutter_s, lit, newer_than)
+        deadline = time.monotonic() + timeout_s
+        sizes: dict[str, tuple[str, int, int]] = {}
+        unreadable: dict[tuple[str, int, int], tuple[Path, str]] = {}
+        strays: list[Stray] = []
+        while time.monotonic() < deadline:
+            if cancelled():
+                raise Refused("the machine was stopped", where=f"shot {shot_id}", todo="run again")
+            for path, entry in self._arrivals(newer_than, sizes):
+                if entry in unreadable:
+                    continue
+                try:
+                    facts = self._inspect(path)
+                except (BadInput, OSError) as error:
+                    unreadable[entry] = (
+                        path,
+                        str(error),
+                    )  # it may still grow
+                    continue
+                reason = self._mismatch(facts, entry, wanted)
+                if not reason:
+                    self._report_unreadable(unreadable, strays)
+                    return path
+                strays.append(self._report(path, entry, reason))
+            time.sleep(POLL_S)
+        self._report_unreadable(unreadable, strays)
+        raise self._nothing(shot_id, timeout_s, strays)
+
+    def _entries(self) -> Iterator[tuple[Path, tuple[str, int, int]]]:
+        try:
+            with os.scandir(self.folder) as entries:
+                for entry in entries:
+                    path = self.folder / entry.name
+                    suffix = path.suffix.lower()
+                    if entry.name.startswith(".") or suffix in PARTIAL_SUFFIXES or not entry.is_file():
+                        continue
+                    try:
+                        status = entry.stat()
+                    except FileNotFoundError:
+                        continue  # moved away between two system calls
+                    yield path, (entry.name, status.st_size, status.st_mtime_ns)
+        except OSError as error:
+            raise DeviceLost(
+                f"the folder cannot be read ({error.strerror})",
+                where=str(self.folder),
+                todo="check the share or disk that it lies on",
+            ) from error
+
+    def _arrivals(
+        self, mark: Mark, sizes: dict[str, tuple[str, int, int]]
+    ) -> Iterator[tuple[Path, tuple[str, int, int]]]:
+        """Yield new files whose size did not change between two looks."""
+        for path, entry in list(self._entries()):
+            if entry in mark.files or entry in self._reported:
+                continue
+            if sizes.get(entry[0]) == entry and entry[1] > 0:
+                yield path, entry
+            sizes[entry[0]] = entry
+
+    def _mismatch(self, facts: FrameFacts, entry: tuple[str, int, int], wanted: _Wanted) -> str:
+        if entry[2] * 1e-9 < wanted.mark.wall_s - CLOCK_SLACK_S:
+            return "older than the trigger"
+        if self.serial and facts.camera_serial and facts.camera_serial != self.serial:
+            return f"of camera {facts.camera_serial}, expected {self.serial}"
+        if facts.shot_id and facts.shot_id != wanted.shot_id:
+            return f"of shot {facts.shot_id}, expected {wanted.shot_id}"
+        if facts.lit is not None and wanted.lit is not None and facts.lit != wanted.lit:
+            return f"taken {'lit' if facts.lit else 'dark'}, expected the opposite"
+        ratio = facts.shutter_s / wanted.shutter_s if facts.shutter_s else 1.0
+        if not 1.0 / EXPOSURE_RATIO <= ratio <= EXPOSURE_RATIO:
+            return f"exposed {facts.shutter_s:g} s, expected {wanted.shutter_s:g} s"
+        return ""
+
+    def _report(self, path: Path, entry: tuple[str, int, int], reason: str) -> Stray:
+        self._reported.add(entry)
+        stray = Stray(path, reason)
+        if self.on_stray is not None:
+            self.on_stray(stray)
+        return stray
+
+    def _report_unreadable(
+        self, unreadable: dict[tuple[str, int, int], tuple[Path, str]], strays: list[Stray]
+    ) -> None:
+        for entry, (path, error) in unreadable.items():
+            still_there = path.is_file() and path.stat().st_size == entry[1]
+            if still_there:
+                suffix = path.suffix.lower()
+                reason = f"does not decode: {error}" if suffix in RAW_SUFFIXES else "not a RAW file"
+                strays.append(self._report(path, entry, reason))
+
+    def _nothing(self, shot_id: str, timeout_s: float, strays: list[Stray]) -> Transient | DeviceLost:
+        where = f"{self.folder}, shot {shot_id}"
+        if strays:
+            listed = "; ".join(f"{stray.path.name} {stray.reason}" for stray in strays[:3])
+            return Transient(
+                f"its picture did not arrive within {timeout_s:g} s, but {listed}",
+                where=where,
+                todo="shoot again",
+            )
+        return DeviceLost(
+            f"no file arrived within {timeout_s:g} s",
+            where=where,
+            todo="check that the camera is on, triggered, and saves into this folder",
+        )

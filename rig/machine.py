@@ -1,0 +1,385 @@
+"""The machine: arms, lamp and camera as one, safe on every way out.
+
+Light and arms are stopped together, light first, whoever asks and from whichever thread: `Machine.stop`. A
+stopped machine stays stopped; it is opened anew to go on.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from rig.bus import ServoBus
+from rig.errors import BadInput, DeviceLost, GonioError, Refused, Unsafe
+from rig.handshake import Handshake, ServoSpec
+from rig.hotfolder import FrameFacts, HotFolder, Stray
+from rig.lamp import Lamp
+from rig.owner import PortOwner
+from rig.servos import Servos
+from rig.stop_report import PartStop, StopReport
+from rig.ticks import rad_to_ticks, ticks_to_rad
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+    from rig.description import Joint, Rig
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class HeldPose:
+    """Where the arms verifiably stand.
+
+    Attributes
+    ----------
+    ticks : tuple of int
+        Measured positions of all servos, in the order of the rig file.
+    angles_rad : tuple of float
+        Measured angles of `rig.arm_joints`, without the station wheel.
+    station : str or None
+        Station at the centre; None without a wheel, or where no station stands there.
+    """
+
+    ticks: tuple[int, ...]
+    angles_rad: tuple[float, ...]
+    station: str | None
+
+
+class Arms:
+    """Moves the joints of a machine, in radians.
+
+    Parameters
+    ----------
+    rig : Rig
+    servos : Servos
+    stopped : callable
+        Whether the machine has been stopped.
+    """
+
+    def __init__(self, rig: Rig, servos: Servos, stopped: Callable[[], bool]) -> None:
+        self._rig, self._servos, self._stopped = rig, servos, stopped
+        self.held: HeldPose | None = None
+        """The last verified pose; None before the first move and while moving."""
+
+    def move(self, angles_rad: Sequence[float], station: str | None = None) -> HeldPose:
+        """Move all arms together, and the wheel if a station is named; return when they verifiably stand.
+
+        Parameters
+        ----------
+        angles_rad : sequence of float
+            One angle for each of `rig.arm_joints`.
+        station : str, optional
+            What the wheel brings to the centre; None leaves it as it is.
+
+        Raises
+        ------
+        BadInput
+            If there is no such station, or the number of angles is wrong.
+        Refused
+            If an angle lies outside its limits, or the machine was stopped.
+        Unsafe, DeviceLost
+            As for `Servos.move`.
+        """
+        goals = self._goals(angles_rad, station)
+        self.held = None
+        self.held = self._pose(self._servos.move(goals, cancelled=self._stopped))
+        return self.held
+
+    def measure(self) -> HeldPose:
+        """Where the arms are now, moving or not.
+
+        Raises
+        ------
+        DeviceLost
+            If a servo does not answer.
+        """
+        return self._pose(self._servos.present())
+
+    def require_held(self) -> HeldPose:
+        """Pass only if the arms stand where the last move left them.
+
+        Raises
+        ------
+        Refused
+            If nothing has been moved to yet.
+        Unsafe
+            If an arm moves or has left its place.
+        """
+        held = self.held
+        if held is None:
+            raise Refused("the arms hold no verified pose", where=self._rig.name, todo="move them first")
+        self._servos.require_held(
+            {joint.id: ticks for joint, ticks in zip(self._rig.joints, held.ticks, strict=True)}
+        )
+        return held
+
+    def _goals(self, angles_rad: Sequence[float], station: str | None) -> dict[int, int]:
+        joints = self._rig.arm_joints
+        if len(angles_rad) != len(joints):
+            names = ", ".join(joint.name for joint in joints)
+            raise BadInput(f"{len(angles_rad)} angles", where="pose", todo=f"give {len(joints)}: {names}")
+        goals = {
+            joint.id: _goal_ticks(joint, float(angle))
+            for joint, angle in zip(joints, angles_rad, strict=True)
+        }
+        if station is not None:
+            wheel = self._rig.station_joint
+            if wheel is None or station not in self._rig.stations:
+                known = ", ".join(self._rig.stations) or "none: the machine has no wheel"
+                raise BadInput(f"no station {station!r}", where="pose", todo=f"stations are {known}")
+            goals[wheel.id] = _goal_ticks(wheel, math.radians(self._rig.stations[station].angle_deg))
+        return goals
+
+    def _pose(self, present: dict[int, int]) -> HeldPose:
+        ticks = tuple(present[joint.id] for joint in self._rig.joints)
+        angles = tuple(ticks_to_rad(joint, present[joint.id]) for joint in self._rig.arm_joints)
+        return HeldPose(ticks, angles, self._station(present))
+
+    def _station(self, present: dict[int, int]) -> str | None:
+        wheel = self._rig.station_joint
+        if wheel is None:
+            return None
+        turn_deg = math.degrees(ticks_to_rad(wheel, present[wheel.id]))
+        for name, station in self._rig.stations.items():
+            if abs(turn_deg - station.angle_deg) <= wheel.tolerance_deg + 0.1:
+                return name
+        return None
+
+
+def _goal_ticks(joint: Joint, angle_rad: float) -> int:
+    low, high = joint.limits_deg
+    angle_deg = math.degrees(angle_rad)
+    if not low - 1e-6 <= angle_deg <= high + 1e-6:
+        raise Refused(
+            f"{joint.name} would go to {angle_deg:.2f} degrees, allowed are {low:g} to {high:g}",
+            where="pose",
+            todo="choose another pose, or change limits_deg in the rig file if the machine can do it",
+        )
+    return rad_to_ticks(joint, angle_rad)
+
+
+class Machine:
+    """An open machine; `open_machine` makes one.
+
+    Attributes
+    ----------
+    rig : Rig
+    handshake : Handshake
+        Servos expected and found.
+    arms : Arms
+    lamp : Lamp
+    camera : HotFolder
+    """
+
+    def __init__(self, rig: Rig, inspect: Callable[[Path], FrameFacts]) -> None:
+        self.rig = rig
+        self._stopped = threading.Event()
+        self._stop_lock = threading.Lock()
+        self._report: StopReport | None = None
+        self._warm = rig.lamp.warm_up_s == 0.0
+        self._exits: list[Callable[[], None]] = []
+        self._lamp: Lamp | None = None
+        self._servos: Servos | None = None
+        try:
+            self._open(inspect)
+        except BaseException:
+            self.stop()
+            self.close()
+            raise
+
+    def _open(self, inspect: Callable[[Path], FrameFacts]) -> None:
+        rig = self.rig
+        specs = [ServoSpec.of(joint) for joint in rig.joints]
+        require_port(rig.ports.servos, "servo bus", "--servos")
+        require_port(rig.ports.lamp, "lamp controller", "--lamp")
+        self.camera = HotFolder(rig.ports.frames, rig.camera.serial, inspect)
+        owner = PortOwner(rig, self.stop)
+        self._exits.append(owner.release)
+        self.lamp = self._lamp = Lamp(
+            rig.ports.lamp, mode=rig.lamp.mode, level=rig.lamp.level, watchdog_s=rig.lamp.watchdog_s
+        )
+        self._exits.append(self.lamp.close)
+        self.lamp.set_up()
+        names = {joint.id: joint.name for joint in rig.joints}
+        bus = ServoBus(rig.ports.servos, rig.bus.baud, names=names)
+        self._exits.append(bus.close)
+        servos = Servos(bus, specs, torque_on_stop=rig.bus.torque_on_stop, settle_reads=rig.bus.settle_reads)
+        self.handshake: Handshake = servos.attach()
+        self._servos = servos
+        self.arms = Arms(rig, servos, self._stopped.is_set)
+
+    def __enter__(self) -> Machine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.stop()
+        finally:
+            self.close()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the machine has been stopped; it then refuses everything."""
+        return self._stopped.is_set()
+
+    @property
+    def stop_report(self) -> StopReport | None:
+        """How the stop went; None while the machine runs."""
+        return self._report
+
+    def on_stray(self, callback: Callable[[Stray], None] | None) -> None:
+        """Be told of every file that is not the picture waited for."""
+        self.camera.on_stray = callback
+
+    def move(self, angles_rad: Sequence[float], station: str | None = None) -> HeldPose:
+        """Move, or stop everything and raise: an arm that does not obey ends the run.
+
+        Raises
+        ------
+        As `Arms.move`; after `Unsafe` and `DeviceLost` the machine is stopped.
+        """
+        self._require_running()
+        return self._guarded(lambda: self.arms.move(angles_rad, station))
+
+    def park(self) -> HeldPose:
+        """Light off for good, then every arm to its `park_deg`.
+
+        Raises
+        ------
+        As `Arms.move`.
+        """
+        self._require_running()
+        self._guarded(self.lamp.off)
+        angles_rad = [math.radians(joint.park_deg) for joint in self.rig.arm_joints]
+        return self.move(angles_rad)
+
+    def shoot(self, shot_id: str, exposure_s: float, *, dark: bool = False) -> Path:
+        """Make one exposure of the pose held and return its verified picture in the hot folder.
+
+        Parameters
+        ----------
+        shot_id : str
+            Its name: 1 to 40 characters of A-Z a-z 0-9 . _ -
+        exposure_s : float
+            1e-5 to 600 s.
+        dark : bool
+            With the lamp off.
+
+        Raises
+        ------
+        Transient
+            If it can be made again: cut short, or its picture went missing.
+        Unsafe
+            If an arm left its place, or the interlock is open; the machine is then stopped.
+        DeviceLost
+            If lamp or camera no longer answer; the machine is then stopped.
+        Refused
+            If the arms hold no verified pose, or the machine was stopped.
+        """
+        self._require_running()
+        return self._guarded(lambda: self._shoot(shot_id, exposure_s, dark=dark))
+
+    def stop(self) -> StopReport:
+        """Stop everything: light off first, then every servo where it is; from any thread, on every way out.
+
+        Never raises. Asked twice, it stops again and answers again.
+        """
+        self._stopped.set()
+        with self._stop_lock:
+            parts: list[PartStop] = []
+            if self._lamp is not None:
+                parts.append(self._lamp.halt())
+            if self._servos is not None:
+                parts.extend(self._servos.halt())
+            self._report = StopReport(tuple(parts))
+            return self._report
+
+    def close(self) -> None:
+        """Release ports, lock file and threads; a second time does nothing."""
+        while self._exits:
+            self._exits.pop()()
+
+    def _shoot(self, shot_id: str, exposure_s: float, *, dark: bool) -> Path:
+        self.arms.require_held()
+        if not dark:
+            self._warm_up()
+        mark = self.camera.mark()
+        self.lamp.expose(exposure_s, shot_id, dark=dark)
+        self.arms.require_held()
+        self._require_running()
+        return self.camera.wait_for(
+            shot_id,
+            self.lamp.shutter_s(exposure_s),
+            mark,
+            self.rig.camera.file_timeout_s,
+            lit=not dark,
+            cancelled=self._stopped.is_set,
+        )
+
+    def _warm_up(self) -> None:
+        """Let the lamp burn in once; a stop ends the wait."""
+        if self._warm:
+            return
+        self.lamp.on()
+        end = time.monotonic() + self.rig.lamp.warm_up_s
+        while (left := end - time.monotonic()) > 0.0:
+            self._stopped.wait(min(left, 1.0))
+            self._require_running()
+        if self.rig.lamp.mode == "LAMP":
+            self.lamp.off()
+        self._warm = True
+
+    def _guarded(self, action: Callable[[], T]) -> T:
+        try:
+            return action()
+        except (DeviceLost, Unsafe):
+            self.stop()
+            raise
+        except GonioError:
+            # A stop from another thread surfaces in this one as whatever it interrupted: say what it was.
+            self._require_running()
+            raise
+
+    def _require_running(self) -> None:
+        if self._stopped.is_set():
+            raise Refused("the machine was stopped", where=self.rig.name, todo="see why, then run again")
+
+
+def require_port(port: str, what: str, option: str) -> None:
+    """Pass only if a port is named.
+
+    Raises
+    ------
+    BadInput
+        If none is.
+    """
+    if not port:
+        raise BadInput(f"no port for the {what}", where="rig", todo=f"give {option} or set it in rig.toml")
+
+
+def open_machine(rig: Rig, *, inspect: Callable[[Path], FrameFacts]) -> Machine:
+    """Open a machine: lock it, light off, handshake, set-up, torque on without a drop.
+
+    Use it as a context manager: on every exit the light goes off and the arms are stopped.
+
+    Parameters
+    ----------
+    rig : Rig
+    inspect : callable
+        Path -> what a frame says of itself, as `capture.raw.inspect_frame`; raises `BadInput` where it does
+        not decode.
+
+    Raises
+    ------
+    BadInput, Refused, DeviceLost, Unsafe
+        If the machine is not as the rig file says.
+    """
+    return Machine(rig, inspect)
