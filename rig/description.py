@@ -172,13 +172,13 @@ def load_rig(
         rig = Rig.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
         raise explain(error, content, Rig, str(file)) from None
-    folder = file.absolute().parent
-    ports = Ports(
-        servos=rig.ports.servos if servos is None else servos,
-        lamp=rig.ports.lamp if lamp is None else lamp,
-        frames=folder / rig.ports.frames if frames is None else Path(frames).absolute(),
-    )
-    return _placed(rig.model_copy(update={"ports": ports}), folder)
+    given = {
+        "servos": servos,
+        "lamp": lamp,
+        "frames": None if frames is None else Path(frames).absolute(),
+    }
+    ports = rig.ports.model_copy(update={field: value for field, value in given.items() if value is not None})
+    return _placed(rig.model_copy(update={"ports": ports}), file.absolute().parent)
 
 
 def dump_rig(rig: Rig, path: str | Path) -> None:
@@ -211,26 +211,16 @@ def dump_rig(rig: Rig, path: str | Path) -> None:
         ) from None
 
 
-def default_rig(
-    *,
-    servos: str = "",
-    lamp: str = "",
-    frames: str | Path = "frames",
-    folder: str | Path = ".",
-    **parts: Any,
-) -> Rig:
+def default_rig(*, folder: str | Path = ".", **parts: Any) -> Rig:
     """Describe the default machine, which is the twin's: five servos, two arms, turntable, station wheel.
 
     Parameters
     ----------
-    servos, lamp : str
-        Serial ports.
-    frames : path
-        Hot folder; relative to `folder`.
     folder : path
-        Where the rig file would lie.
+        Where the rig file would lie; a relative hot folder lies in it.
     **parts
-        Fields of `Rig` that replace the default ones, such as ``camera=Camera(width_px=64, ...)``.
+        Fields of `Rig` that replace the default ones, such as ``camera=Camera(width_px=64, ...)`` or
+        ``ports=Ports(servos="/dev/ttyUSB0")``.
 
     Returns
     -------
@@ -241,11 +231,9 @@ def default_rig(
     pydantic.ValidationError
         The replaced parts describe no possible machine.
     """
-    place = Path(folder).absolute()
     full_turn = (-180.0, 179.9)  # +180 degrees is the tick after the servo's last
     fields: dict[str, Any] = {
         "name": "gonio default",
-        "ports": Ports(servos=servos, lamp=lamp, frames=place / frames),
         "joints": (
             Joint(name="light_elevation", id=1, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0)),
             Joint(name="camera_azimuth", id=2, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
@@ -268,12 +256,15 @@ def default_rig(
             "sample3": Station(angle_deg=-72.0, kind="sample"),
         },
     }
-    return _placed(Rig(**(fields | parts)), place)
+    return _placed(Rig(**(fields | parts)), Path(folder).absolute())
 
 
 def _placed(rig: Rig, folder: Path) -> Rig:
-    rig._folder = folder  # noqa: SLF001 - the loader is the one place that knows it
-    return rig
+    """Tell a rig where its file lies, and make its hot folder absolute."""
+    ports = rig.ports.model_copy(update={"frames": folder / rig.ports.frames})
+    placed = rig.model_copy(update={"ports": ports})
+    placed._folder = folder  # noqa: SLF001 - only who reads or makes a rig knows it
+    return placed
 
 
 def _read_toml(file: Path) -> dict[str, Any]:

@@ -6,7 +6,8 @@ import re
 import subprocess
 import sys
 import tomllib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,6 @@ from hypothesis import strategies as st
 from rig.description import Bus, Camera, Joint, Ports, Rig, Station, default_rig, dump_rig, load_rig
 from rig.errors import BadInput
 from rig.ticks import rad_to_ticks, tick_rad, ticks_to_rad
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SMALL_RIG = """
 name = "two arms in one plane"
@@ -99,8 +97,7 @@ def test_ports_are_resolved_and_replaced(tmp_path: Path, monkeypatch: pytest.Mon
 def test_dump_loads_back_equal(tmp_path: Path) -> None:
     """Catch a field that the file loses, rounds, or writes as something the reader refuses."""
     rig = default_rig(
-        servos="/dev/ttyUSB0",
-        frames="hot",
+        ports=Ports(servos="/dev/ttyUSB0", frames=Path("hot")),
         folder=tmp_path,
         camera=Camera(
             serial="Ä-7", distortion=(-0.1, 0.2, 1e-5, -1e-5, 1 / 3), focal_length_px=1234.5678901234567
@@ -117,7 +114,7 @@ def test_dump_loads_back_equal(tmp_path: Path) -> None:
 def test_dump_keeps_a_hot_folder_elsewhere(tmp_path: Path) -> None:
     """Catch an absolute hot folder that is silently taken for one beside the file."""
     (tmp_path / "machine").mkdir()
-    rig = default_rig(frames=tmp_path / "hot", folder=tmp_path)
+    rig = default_rig(ports=Ports(frames=tmp_path / "hot"), folder=tmp_path)
     dump_rig(rig, tmp_path / "machine" / "rig.toml")
     assert load_rig(tmp_path / "machine" / "rig.toml").ports.frames == tmp_path / "hot"
 

@@ -62,6 +62,7 @@ MACHINES = {
 }
 
 elevations = st.floats(0.0, math.radians(84.9)) | st.sampled_from([0.0, 1e-12, 1e-10, 1e-8, 1e-4])
+leans = st.floats(0.01, math.radians(84.9))
 azimuths = st.floats(-math.pi, math.pi) | st.sampled_from([k * math.pi / 4 for k in range(-4, 5)])
 anywhere = st.floats(-math.pi, math.pi)
 
@@ -156,21 +157,19 @@ def test_solve_meets_every_reachable_pose(
     angles = TIGHT.solve(wi, wo, near)
     assert np.all(angles >= TIGHT.limits_rad[:, 0])
     assert np.all(angles <= TIGHT.limits_rad[:, 1])
-    # Between +179.9 and -180 deg a joint rests on a limit, at most half a tick away. On the normal, to 1e-9 rad,
-    # an azimuth stays as it is.
+    # Between +179.9 and -180 deg a joint rests on a limit, at most half a tick away. An azimuth on
+    # the normal, to 1e-9 rad, stays as it is.
     at_a_limit = np.any(np.abs(angles[[1, 3], None] - TIGHT.limits_rad[[1, 3]]) == 0.0)
     tolerance = 2e-3 if at_a_limit else 2.1e-9 if min(theta_i, theta_o) <= 1e-9 else 1e-12
     np.testing.assert_allclose(TIGHT.directions(angles), [wi, wo], rtol=0, atol=tolerance)
 
 
-@given(elevations, azimuths, elevations, azimuths, st.integers(0, 2**32 - 1))
+@given(leans, azimuths, leans, azimuths, st.integers(0, 2**32 - 1))
 @settings(max_examples=30)
 def test_solve_takes_the_nearest_pose(
     theta_i: float, phi_i: float, theta_o: float, phi_o: float, seed: int
 ) -> None:
     """Catch arms that swing to the other side without need: no branch that the search finds may be nearer."""
-    assume(theta_i > 0.01)
-    assume(theta_o > 0.01)
     wi, wo = spherical_to_direction(theta_i, phi_i), spherical_to_direction(theta_o, phi_o)
     near = np.random.default_rng(seed).uniform(*TIGHT.limits_rad.T)
     closed = TIGHT.solve(wi, wo, near)
