@@ -28,6 +28,9 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 
+_CLOSE_TO_OPPOSITE = 0.1
+"""Length of wi + wo below which its rounding is removed; above, it is smaller than the tests' 1e-12."""
+
 _OPPOSITE = 1e-15
 """Length of wi + wo below which only rounding is left of it and the directions count as opposite."""
 
@@ -107,15 +110,10 @@ def half_vector(wi: npt.ArrayLike, wo: npt.ArrayLike) -> FloatArray:
         For opposite directions see the module's convention.
     """
     wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
-    total, apart = wi + wo, wi - wo
-    # Of unit vectors, the sum is perpendicular to the difference. Near opposition rounding breaks that, and
-    # the half vector would point anywhere; removing the component along the difference restores it.
-    lean = np.sum(total * apart, axis=-1, keepdims=True)
-    apart_squared = np.sum(apart * apart, axis=-1, keepdims=True)
-    total = np.where(apart_squared > 2.0, total - lean / np.maximum(apart_squared, 1.0) * apart, total)
-    opposite = _length(total) < _OPPOSITE
-    if np.any(opposite):
-        total = np.where(opposite[..., None], _perpendicular_towards_normal(wi), total)
+    total = np.asarray(wi + wo)
+    close = _dot(total, total) < _CLOSE_TO_OPPOSITE**2
+    if np.any(close):
+        total[close] = _mend_sum(wi[close], wo[close])
     return unit(total)
 
 
@@ -248,7 +246,25 @@ def _components(w: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _length(v: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.sum(v * v, axis=-1)))
+    return np.asarray(np.sqrt(_dot(v, v)))
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _mend_sum(wi: FloatArray, wo: FloatArray) -> FloatArray:
+    """Find the direction (N, 3) of wi + wo for nearly opposite directions, where rounding spoils the sum.
+
+    Of unit vectors, the sum is perpendicular to the difference. Rounding breaks that, and the half vector
+    would point anywhere; removing the sum's component along the difference restores it.
+    """
+    total, apart = wi + wo, wi - wo
+    with np.errstate(invalid="ignore"):  # zero vectors have no half vector: NaN
+        total -= (_dot(total, apart) / _dot(apart, apart))[:, None] * apart
+    opposite = _length(total) < _OPPOSITE
+    total[opposite] = _perpendicular_towards_normal(wi[opposite])
+    return total
 
 
 def _perpendicular_towards_normal(w: FloatArray) -> FloatArray:

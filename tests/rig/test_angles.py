@@ -204,6 +204,7 @@ def test_unit_of_any_length(w: FloatArray, length: float) -> None:
 def test_unit_of_no_direction_is_nan() -> None:
     """Catch a warning, or a zero vector that passes as a direction."""
     assert np.isnan(unit([[0, 0, 0], [np.inf, 0, 0], [np.nan, 1, 0]])).all()
+    assert np.isnan(half_vector([0, 0, 0], [0, 0, 0])).all()
 
 
 @given(st.floats(-1e6, 1e6))
