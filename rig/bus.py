@@ -1,4 +1,4 @@
-"""The servo bus: one thread owns the wire, everybody else asks it, by register name, with retries and a deadline."""
+"""The servo bus: one thread owns the wire, others ask it by register name, with retries and a deadline."""
 
 from __future__ import annotations
 

@@ -82,18 +82,13 @@ class HotFolder:
     Parameters
     ----------
     folder : Path
-        Must exist.
+        Where they fall.
     serial : str
         The camera's serial number; "" accepts any.
     inspect : callable
         Path -> facts of a frame; raises `BadInput` where it does not decode.
     on_stray : callable, optional
         Told of every stray, once.
-
-    Raises
-    ------
-    BadInput
-        If the folder does not exist.
     """
 
     def __init__(
@@ -103,16 +98,25 @@ class HotFolder:
         inspect: Callable[[Path], FrameFacts],
         on_stray: Callable[[Stray], None] | None = None,
     ) -> None:
-        if not folder.is_dir():
-            raise BadInput(
-                "no such folder for the camera's files",
-                where=str(folder),
-                todo="make it, or name another with --frames",
-            )
         self.folder, self.serial = folder, serial
         self.on_stray = on_stray
         self._inspect = inspect
         self._reported: set[tuple[str, int, int]] = set()
+
+    def require(self) -> None:
+        """Pass only if the folder is there.
+
+        Raises
+        ------
+        BadInput
+            If it is not.
+        """
+        if not self.folder.is_dir():
+            raise BadInput(
+                "no such folder for the camera's files",
+                where=str(self.folder),
+                todo="make it, or name another with --frames",
+            )
 
     def mark(self) -> Mark:
         """Remember what is there, right before a trigger."""

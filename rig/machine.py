@@ -177,7 +177,7 @@ class Machine:
     camera : HotFolder
     """
 
-    def __init__(self, rig: Rig, inspect: Callable[[Path], FrameFacts]) -> None:
+    def __init__(self, rig: Rig, inspect: Callable[[Path], FrameFacts] | None = None) -> None:
         self.rig = rig
         self._stopped = threading.Event()
         self._stop_lock = threading.Lock()
@@ -193,12 +193,14 @@ class Machine:
             self.close()
             raise
 
-    def _open(self, inspect: Callable[[Path], FrameFacts]) -> None:
+    def _open(self, inspect: Callable[[Path], FrameFacts] | None) -> None:
         rig = self.rig
         specs = [ServoSpec.of(joint) for joint in rig.joints]
         require_port(rig.ports.servos, "servo bus", "--servos")
         require_port(rig.ports.lamp, "lamp controller", "--lamp")
-        self.camera = HotFolder(rig.ports.frames, rig.camera.serial, inspect)
+        self.camera = HotFolder(rig.ports.frames, rig.camera.serial, inspect or _no_camera)
+        if inspect is not None:
+            self.camera.require()
         owner = PortOwner(rig, self.stop)
         self._exits.append(owner.release)
         self.lamp = self._lamp = Lamp(
@@ -353,6 +355,10 @@ class Machine:
             raise Refused("the machine was stopped", where=self.rig.name, todo="see why, then run again")
 
 
+def _no_camera(path: Path) -> FrameFacts:
+    raise Refused("the machine was opened without its camera", where=str(path), todo="open it with inspect")
+
+
 def require_port(port: str, what: str, option: str) -> None:
     """Pass only if a port is named.
 
@@ -365,7 +371,7 @@ def require_port(port: str, what: str, option: str) -> None:
         raise BadInput(f"no port for the {what}", where="rig", todo=f"give {option} or set it in rig.toml")
 
 
-def open_machine(rig: Rig, *, inspect: Callable[[Path], FrameFacts]) -> Machine:
+def open_machine(rig: Rig, *, inspect: Callable[[Path], FrameFacts] | None = None) -> Machine:
     """Open a machine: lock it, light off, handshake, set-up, torque on without a drop.
 
     Use it as a context manager: on every exit the light goes off and the arms are stopped.
@@ -373,9 +379,9 @@ def open_machine(rig: Rig, *, inspect: Callable[[Path], FrameFacts]) -> Machine:
     Parameters
     ----------
     rig : Rig
-    inspect : callable
+    inspect : callable, optional
         Path -> what a frame says of itself, as `capture.raw.inspect_frame`; raises `BadInput` where it does
-        not decode.
+        not decode. Without it the machine moves but makes no pictures, and needs no folder for them.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Who owns the machine's ports, and how another process asks him to stop.
 
 The owner writes a lock file, named after the servo port, with a loopback address and a token. Whoever sends
-the token there is answered with a stop report. A lock whose owner does not answer is stale and removed: serial
-ports are opened exclusively and stay the last guard.
+the token there is answered with a stop report. A lock whose owner does not answer is stale and removed:
+serial ports are opened exclusively and stay the last guard.
 """
 
 from __future__ import annotations
