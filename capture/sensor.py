@@ -1,6 +1,7 @@
 """The noise model of a linear sensor, and its calibration file `calibration/sensor.toml`.
 
-The variance of one count above black, in DN squared, is (EMVA 1288 release 4, section 2.2; Hasinoff et al. 2010, eq. 1)
+The variance of one count above black, in DN squared, is (EMVA 1288 release 4, section 2.2; Hasinoff et al.
+2010, eq. 1)
 
     var(y) = K (y_light + y_dark) + s_read^2 + q^2 / 12
 

@@ -1,0 +1,250 @@
+"""The frames of one pose as one checked stack, whatever they came as: arrays, RAW frames or files."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from capture.raw import PathLike, RawFrame, read_raw
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+FrameLike = RawFrame | PathLike | np.ndarray
+"""One frame: read already, a file, or a 2-D array of counts."""
+
+Frames = Sequence[FrameLike] | np.ndarray
+"""Several frames: a sequence of `FrameLike`, or an array of shape (N, H, W) or (H, W)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Frames of one scene by one camera, same shape, finite, each with an exposure time above 0.
+
+    Attributes
+    ----------
+    counts : tuple of ndarray, each of shape (H, W)
+        As delivered, black included, in DN.
+    exposure_s : tuple of float
+        Exposure times, same order.
+    cfa : ndarray of int, shape (2, 2), or None
+        Channel index per position of the 2 x 2 cell; None for plain arrays.
+    channels : tuple of str
+        Names of the channels; empty for plain arrays.
+    black_dn : ndarray of float, shape (2, 2), or None
+        Black level per position; None for plain arrays.
+    white_dn : float
+        Nominal clip level, black included; infinite for floating-point arrays.
+    quantisation_step_dn : float
+        1 for integer counts, 0 for floating-point ones.
+    names : tuple of str
+        What to call each frame in a message.
+    """
+
+    counts: tuple[NDArray[Any], ...]
+    exposure_s: tuple[float, ...]
+    cfa: NDArray[np.int64] | None
+    channels: tuple[str, ...]
+    black_dn: NDArray[np.float64] | None
+    white_dn: float
+    quantisation_step_dn: float
+    names: tuple[str, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self.counts[0].shape
+        return height, width
+
+    @property
+    def shortest(self) -> tuple[int, ...]:
+        """Indices of the frames of the shortest exposure."""
+        limit = min(self.exposure_s) * (1.0 + 1e-9)
+        return tuple(index for index, seconds in enumerate(self.exposure_s) if seconds <= limit)
+
+    def thinned(self, step: int) -> Stack:
+        """Return the same stack with only every `step`-th band of rows; see `thin`."""
+        return replace(self, counts=tuple(thin(frame, step) for frame in self.counts))
+
+
+BAND_ROWS = 16
+"""Rows of a band, the unit by which a large mosaic is sampled."""
+
+
+def thinning(shape: tuple[int, int], pixels: int) -> int:
+    """Step for `thin` that leaves about `pixels` pixels of a mosaic."""
+    return max(1, round(shape[0] * shape[1] / pixels))
+
+
+def thin(frame: NDArray[Any], step: int) -> NDArray[Any]:
+    """Keep every `step`-th band of `BAND_ROWS` rows of a mosaic, so that 2 x 2 cells stay whole.
+
+    A (1, 1) array, which stands for a constant mosaic, stays as it is.
+    """
+    rows, cols = frame.shape
+    bands = rows // BAND_ROWS
+    if step == 1 or bands < 2:
+        return frame
+    return frame[: bands * BAND_ROWS].reshape(bands, BAND_ROWS, cols)[::step].reshape(-1, cols)
+
+
+def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | None = None) -> Stack:
+    """Check frames and put them into one stack.
+
+    Parameters
+    ----------
+    frames : sequence of 2-D arrays, RawFrames or paths; or ndarray of shape (N, H, W) or (H, W)
+        The frames, in any order of exposure.
+    exposure_s : float or sequence of float, optional
+        Exposure times in seconds, same order; None where the frames carry them.
+
+    Returns
+    -------
+    Stack
+
+    Raises
+    ------
+    BadInput
+        No frames; shapes, cameras, CFAs or ISO settings that differ; NaN or infinite counts; a frame given
+        twice; exposure times that are missing, not above 0, or of another number than the frames.
+    """
+    items = [read_raw(frame) if isinstance(frame, str | os.PathLike) else frame for frame in _listed(frames)]
+    names = tuple(
+        str(item.path) if isinstance(item, RawFrame) else f"frame {n}" for n, item in enumerate(items)
+    )
+    _refuse_twins(items, names)
+    raws = [item for item in items if isinstance(item, RawFrame)]
+    if raws and len(raws) != len(items):
+        raise BadInput("RAW frames and plain arrays are mixed", todo="give one kind")
+    counts = tuple(item.counts if isinstance(item, RawFrame) else np.asarray(item) for item in items)
+    _check_counts(counts, names)
+    times = _times(exposure_s, raws, len(items), names)
+    integer = all(np.issubdtype(frame.dtype, np.integer) for frame in counts)
+    if not raws:
+        white = float(max(np.iinfo(frame.dtype).max for frame in counts)) if integer else math.inf
+        return Stack(counts, times, None, (), None, white, float(integer), names)
+    _check_same_camera(raws)
+    first = raws[0]
+    return Stack(counts, times, first.cfa, first.channels, first.black_dn, first.white_dn, 1.0, names)
+
+
+def _listed(frames: Frames) -> list[FrameLike]:
+    if isinstance(frames, str | os.PathLike | RawFrame):
+        frames = [frames]
+    if isinstance(frames, np.ndarray):
+        if frames.ndim == 2:
+            frames = frames[np.newaxis]
+        if frames.ndim != 3:
+            what = f"the frames are an array of {frames.ndim} dimensions"
+            raise BadInput(what, todo="give (N, H, W): mosaics are merged before colours are interpolated")
+    items = list(frames)
+    if not items:
+        raise BadInput("no frames", todo="give at least one")
+    return items
+
+
+def _refuse_twins(items: list[Any], names: tuple[str, ...]) -> None:
+    for index, item in enumerate(items):
+        for other in range(index):
+            same_array = isinstance(item, np.ndarray) and item is items[other]
+            same_file = isinstance(item, RawFrame) and names[index] == names[other]
+            same_shot = (
+                isinstance(item, RawFrame)
+                and item.shot_id is not None
+                and item.shot_id == items[other].shot_id
+            )
+            if same_array or same_file or same_shot:
+                what = "the same frame is given twice" + (f" (shot {item.shot_id})" if same_shot else "")
+                raise BadInput(what, where=names[index], todo="a frame counts once: leave one out")
+
+
+def _check_counts(counts: tuple[NDArray[Any], ...], names: tuple[str, ...]) -> None:
+    for frame, name in zip(counts, names, strict=True):
+        if frame.ndim != 2 or frame.size == 0:
+            raise BadInput(f"its shape is {frame.shape}", where=name, todo="a frame is a 2-D mosaic")
+        if frame.shape != counts[0].shape:
+            what = f"its shape is {frame.shape}, that of {names[0]} is {counts[0].shape}"
+            raise BadInput(what, where=name, todo="merge frames of one camera and one crop")
+        if not (np.issubdtype(frame.dtype, np.integer) or np.issubdtype(frame.dtype, np.floating)):
+            raise BadInput(f"its counts are of type {frame.dtype}", where=name, todo="give real numbers")
+        if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame).all():
+            bad = int(np.count_nonzero(~np.isfinite(frame)))
+            raise BadInput(f"{bad} counts are NaN or infinite", where=name, todo="give the counts as stored")
+
+
+def _times(
+    exposure_s: float | Sequence[float] | np.ndarray | None,
+    raws: list[RawFrame],
+    number: int,
+    names: tuple[str, ...],
+) -> tuple[float, ...]:
+    if exposure_s is None:
+        stated: list[float | None] = [raw.exposure_s for raw in raws] or [None] * number
+    else:
+        try:
+            stated = [float(seconds) for seconds in np.atleast_1d(np.asarray(exposure_s, dtype=np.float64))]
+        except (TypeError, ValueError):
+            raise BadInput("the exposure times are not numbers", todo="give seconds, one per frame") from None
+    if len(stated) != number:
+        raise BadInput(
+            f"{len(stated)} exposure times for {number} frames", todo="give one per frame, in order"
+        )
+    for seconds, name in zip(stated, names, strict=True):
+        if seconds is None:
+            raise BadInput("it carries no exposure time", where=name, todo="give the exposure times")
+        if not (math.isfinite(seconds) and seconds > 0.0):
+            raise BadInput(f"its exposure time is {seconds} s", where=name, todo="give seconds, above 0")
+    return tuple(seconds for seconds in stated if seconds is not None)
+
+
+def _check_same_camera(raws: list[RawFrame]) -> None:
+    first = raws[0]
+    for raw in raws[1:]:
+        differs = {
+            "camera serial": raw.camera_serial != first.camera_serial,
+            "camera model": raw.camera_model != first.camera_model,
+            "colour filter layout": raw.channels != first.channels or not np.array_equal(raw.cfa, first.cfa),
+            "black level": not np.array_equal(raw.black_dn, first.black_dn),
+            "ISO": raw.iso != first.iso,
+        }
+        what = next((name for name, different in differs.items() if different), None)
+        if what:
+            where = f"{first.path.name} and {raw.path.name}"
+            raise BadInput(f"{what} differs", where=where, todo="merge frames of one camera at one setting")
+
+
+def tile(cell: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+    """Repeat a 2 x 2 cell over a mosaic of the given shape; odd sizes cut the last cell."""
+    rows, cols = shape
+    return np.tile(cell, ((rows + 1) // 2, (cols + 1) // 2))[:rows, :cols]
+
+
+def any_in_cell(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """For each pixel, whether any pixel of its 2 x 2 cell is set; odd sizes have smaller last cells.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+    """
+    rows, cols = mask.shape
+    if rows % 2 or cols % 2:
+        padded = np.zeros((rows + rows % 2, cols + cols % 2), dtype=bool)
+        padded[:rows, :cols] = mask
+        return any_in_cell(padded)[:rows, :cols]
+    out = np.empty_like(mask)
+    pairs = mask[0::2] | mask[1::2]
+    cells = pairs[:, 0::2] | pairs[:, 1::2]
+    for row in (0, 1):
+        for col in (0, 1):
+            out[row::2, col::2] = cells
+    return out
