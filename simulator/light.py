@@ -114,6 +114,9 @@ class Renderer:
 
     def prewarm(self) -> None:
         """Build every station's method and its kernels, so that the first frame is as fast as the rest."""
+        for station in self.materials:
+            self._light(station)
+        # Not in one loop: kernels depend on which scenes exist when they are compiled.
         upright = [0.0] * len(self._rig.arm_joints)
         for station in self.materials:
             self.radiance(station, upright)

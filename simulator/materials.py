@@ -144,23 +144,45 @@ def parse_material(spec: str | Material) -> Material:
 
 
 def _closed_form(spec: str, kind: str, rest: str) -> ClosedFormMaterial:
+    return closed_form_material(
+        kind, {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}, spec
+    )
+
+
+def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str = "") -> ClosedFormMaterial:
+    """Return the material of a model, all of its parameters given.
+
+    Parameters
+    ----------
+    model : str
+        Name of a model in `analysis.models`.
+    parameters : mapping of str to float or tuple of float
+        Value, or three, of each parameter.
+    spec : str, optional
+        The line that names it, for messages.
+
+    Raises
+    ------
+    BadInput
+        An unknown model or parameter, a missing one, or an impossible value.
+    """
     from analysis.models import MODELS
 
-    if kind not in MODELS:
+    spec = spec or model
+    if model not in MODELS:
         kinds = [*MODELS, MITSUBA_PREFIX, MEASURED_PREFIX]
-        nearest = difflib.get_close_matches(kind, kinds, n=1)
+        nearest = difflib.get_close_matches(model, kinds, n=1)
         hint = f"did you mean {nearest[0]}?" if nearest else f"known kinds: {', '.join(kinds)}"
-        raise BadInput(f"there is no material of kind {kind!r}", where=spec, todo=hint)
-    names = [parameter.name for parameter in MODELS[kind].PARAMETERS]
-    given = {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}
-    for name in given.keys() - set(names):
+        raise BadInput(f"there is no material of kind {model!r}", where=spec, todo=hint)
+    names = [parameter.name for parameter in MODELS[model].PARAMETERS]
+    for name in parameters.keys() - set(names):
         nearest = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {nearest[0]}?" if nearest else f"{kind} has {', '.join(names)}"
-        raise BadInput(f"{kind} has no parameter {name}", where=spec, todo=hint)
+        hint = f"did you mean {nearest[0]}?" if nearest else f"{model} has {', '.join(names)}"
+        raise BadInput(f"{model} has no parameter {name}", where=spec, todo=hint)
     for name in names:
-        if name not in given:
-            raise BadInput(f"{kind} needs {name}", where=spec, todo=f"give {', '.join(names)}")
-    material = ClosedFormMaterial(spec, kind, {name: given[name] for name in names})
+        if name not in parameters:
+            raise BadInput(f"{model} needs {name}", where=spec, todo=f"give {', '.join(names)}")
+    material = ClosedFormMaterial(spec, model, {name: parameters[name] for name in names})
     try:
         material.closed_form()
     except BadInput as error:

@@ -43,10 +43,11 @@ class PixelCentreLight:
         self._kinematics = Kinematics(rig)
         self._rays = mi.Vector3f(camera_rays(rig).T.astype(np.float32))
         # A square and not Mitsuba's disk, whose tangents run outwards: the frame is the sample's everywhere.
+        self._bsdf = load_bsdf(mi, material)
         sample = {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f().scale(rig.sample.diameter_mm / 2.0),
-            "bsdf": load_bsdf(mi, material),
+            "bsdf": self._bsdf,
         }
         self._scene = mi.load_dict(
             {"type": "scene", "sample": sample, "lamp": point_lamp(rig)}, optimize=False
@@ -92,7 +93,8 @@ class PixelCentreLight:
         edge_mm = self._rig.sample.diameter_mm / 2.0
         seen = si.is_valid() & (dr.square(si.p.x) + dr.square(si.p.y) <= edge_mm**2)
         lamp, irradiance = self._scene.sample_emitter_direction(si, mi.Point2f(0.5, 0.5), True, seen)
-        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(lamp.d), seen)
+        # Asked directly: a kernel that looked it up at each point would hold every BSDF of the process.
+        value = self._bsdf.eval(mi.BSDFContext(), si, si.to_local(lamp.d), seen)
         radiance = np.asarray(dr.select(seen, value * irradiance, 0.0), dtype=np.float64)
         return radiance.T.reshape(self._rig.camera.height_px, self._rig.camera.width_px, 3)
 

@@ -52,7 +52,8 @@ def mitsuba_reflectance(mi: Any, material: Material) -> Callable[[Array, Array],
         visible = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
         values = np.zeros((len(wi), 3))
         # Mitsuba's value holds the cosine of the light's angle.
-        values[visible] = ask(mi, bsdf, wi[visible], wo[visible]) / wi[visible, 2:]
+        if visible.any():
+            values[visible] = ask(mi, bsdf, wi[visible], wo[visible]) / wi[visible, 2:]
         return values
 
     return evaluate
@@ -72,7 +73,7 @@ def _ask_one_by_one(mi: Any, bsdf: Any, wi: Array, wo: Array) -> Array:
         si.wi = mi.Vector3f(camera)
         value = bsdf.eval(context, si, mi.Vector3f(light))
         values.append((value[0], value[1], value[2]))
-    return np.array(values, dtype=np.float64).reshape(-1, 3)
+    return np.array(values, dtype=np.float64)
 
 
 def _interaction(mi: Any) -> Any:
