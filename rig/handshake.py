@@ -128,7 +128,7 @@ def _counts(value: float, register: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ServoFound:
-    """What one servo said of itself."""
+    """What one servo said of itself; of a wrong model only model and firmware, its table may differ."""
 
     model_number: int
     firmware: int
@@ -142,7 +142,7 @@ class ServoFound:
     @property
     def errors(self) -> str:
         """Standing hardware errors in words, "" when healthy."""
-        return describe_errors(self.registers["hardware_error_status"])
+        return describe_errors(self.registers.get("hardware_error_status", 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,7 @@ class HandshakeRow:
     @property
     def differences(self) -> dict[str, tuple[int, int]]:
         """EEPROM registers that differ: name -> (found, wanted)."""
-        if self.found is None:
+        if self.found is None or not self.found.registers:
             return {}
         found = self.found.registers
         return {n: (found[n], wanted) for n, wanted in self.spec.eeprom.items() if found[n] != wanted}
@@ -258,6 +258,8 @@ def _cells(row: HandshakeRow) -> tuple[str, ...]:
     start = (str(spec.servo_id), spec.name, spec.model)
     if found is None:
         return (*start, "-", "", "", "", "", row.fault)
+    if not found.registers:
+        return (*start, found.model, str(found.firmware), "", "", "", row.fault)
     registers = found.registers
     state = row.fault or ("ok" if not row.differences else "ok; to write: " + ", ".join(row.differences))
     return (
@@ -297,7 +299,7 @@ def _find(bus: ServoBus, spec: ServoSpec) -> ServoFound | None:
     try:
         model_number, firmware = bus.ping(spec.servo_id)
         if MODEL_NAMES.get(model_number) != spec.model:
-            return ServoFound(model_number, firmware, dict.fromkeys(_shown(), 0))
+            return ServoFound(model_number, firmware, {})
         # A servo told to keep quiet would look like a lost one at the first write.
         bus.sync_write("status_return_level", {spec.servo_id: 2})
         return ServoFound(model_number, firmware, _registers(bus, spec.servo_id))
