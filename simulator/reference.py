@@ -49,7 +49,7 @@ class PathLight:
     housing_albedo : float
         Albedo of the housing; 0 for none.
     mirrors : bool
-        Whether light can meet a mirror: the lamp is then a sphere of its diameter, because mirrors never show
+        Whether light can meet a mirror: the lamp is then a disc of its diameter, because mirrors never show
         a point. Otherwise it is a point, as for every cheaper method.
     samples_per_pixel : int
         Paths per pixel; in LLVM a power of two.
@@ -82,7 +82,7 @@ class PathLight:
             "type": "scene",
             "integrator": {"type": "path", "max_depth": DEEPEST, "rr_depth": DEEPEST, "hide_emitters": True},
             "camera": scene.perspective_camera(mi, rig, samples_per_pixel),
-            "lamp": scene.sphere_lamp(mi, rig) if mirrors else scene.point_lamp(rig),
+            "lamp": scene.disc_lamp(mi, rig) if mirrors else scene.point_lamp(rig),
             "sample": {
                 "type": "rectangle" if grain else "disk",
                 "to_world": mi.ScalarTransform4f().scale(rig.sample.diameter_mm / 2.0),
@@ -129,7 +129,7 @@ class PathLight:
         placed = scene.camera_placed(mi, frames.camera_mm, frames.camera_rotation)
         self._parameters["camera.to_world"] = mi.Transform4f(placed)
         if self._mirrors:
-            lamp = scene.sphere_lamp_placed(mi, self._rig, frames.light_mm)
+            lamp = scene.disc_lamp_placed(mi, self._rig, frames.light_mm)
             self._parameters["lamp.to_world"] = mi.Transform4f(lamp)
         else:
             self._parameters["lamp.position"] = mi.Point3f(*frames.light_mm.tolist())

@@ -9,6 +9,7 @@ import pytest
 
 from rig.description import Camera, Rig, default_rig
 from rig.errors import BadInput, Refused
+from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator import bsdfs
 from simulator.light import Renderer
@@ -194,6 +195,19 @@ class TestMethods:
             assert np.sqrt(np.mean(z**2)) < 1.3
             # 64 x 48 pixels with 15 degrees of freedom: beyond 7 nothing is chance.
             assert np.max(np.abs(z)) < 7.0
+
+    @pytest.mark.parametrize("spec", ["lambert:kd=0.5", "cook-torrance:kd=0.1,ks=0.5,m=0.2,ior=1.5"])
+    def test_a_lamp_taken_for_a_point_is_within_the_stated_tolerance(self, vector: Any, spec: str) -> None:
+        """Would catch the skipped part of the light, the lamp's size, growing beyond what is stated for it."""
+        pose = (0.5, 0.0, -0.5, 0.2)
+        disc = PathLight(vector, RIG, closed_form(spec), mirrors=True, samples_per_pixel=256)
+        seen = inside(RIG, pose)
+        # A disc that faces the centre shines by its cosine on what lies beside it; the rig's lamp is even.
+        towards = Kinematics(RIG).frames(pose).light_mm / RIG.lamp.distance_mm
+        cosine = pixel_geometry(RIG, pose).wi[seen] @ towards
+        ratio = disc.radiance(pose)[seen] / (exact(RIG, spec).radiance(pose)[seen] * cosine[:, None])
+        assert np.mean(ratio) == pytest.approx(1.0, abs=5e-4)
+        assert np.mean(ratio) != 1.0
 
     def test_a_measured_file_looks_the_same_in_both_variants(self, shared_data: Any) -> None:
         """Would catch a measured BSDF read, scaled or turned differently by the two variants."""
