@@ -101,8 +101,9 @@ def move_to(target: float, position: float, velocity: float, limits: Limits) -> 
     ramp = (peak - v0) / first
     ramp_distance = (peak * peak - v0 * v0) / (2.0 * first)
     cruise_distance = d - ramp_distance - peak * peak / (2.0 * a)
-    cruise = max(cruise_distance, 0.0) / peak if peak > 0.0 else 0.0
-    kind = ProfileKind.TRAPEZOIDAL if cruise > 0.0 else ProfileKind.TRIANGULAR
+    cruises = peak == limits.velocity  # else only rounding is left between the two ramps
+    cruise = max(cruise_distance, 0.0) / peak if cruises else 0.0
+    kind = ProfileKind.TRAPEZOIDAL if cruises else ProfileKind.TRIANGULAR
     return Motion(
         position,
         velocity,
