@@ -108,20 +108,20 @@ class _CommonMachine(NamedTuple):
         """Every way to the pose, without regard to limits or whole turns.
 
         Light along the normal leaves the table free. It stays where it is; should that take the camera out of
-        reach, other ways have the camera's azimuth, or either joint's limits, instead.
+        reach, other ways leave the camera's azimuth as it is, or at a limit, and turn the table instead.
         """
         theta_i, phi_i = (float(angle) for angle in direction_to_spherical(wi))
         theta_o, phi_o = (float(angle) for angle in direction_to_spherical(wo))
         places = [self.light, self.azimuth, self.elevation, self.table]
-        _, azimuths, _, tables = np.column_stack([near, limits])[places] * np.reshape(self.signs, (4, 1))
+        _, azimuths, _, (table, *_) = np.column_stack([near, limits])[places] * np.reshape(self.signs, (4, 1))
         azimuth_is_free = math.sin(theta_o) < _POLE
         if math.sin(theta_i) >= _POLE:
             lamps = [(theta_i, -phi_i), (-theta_i, math.pi - phi_i)]
         elif azimuth_is_free:
-            lamps = [(theta_i, tables[0])]
+            lamps = [(theta_i, table)]
         else:
             turned = [azimuth - phi_o + half for azimuth in azimuths for half in (0.0, math.pi)]
-            lamps = [(theta_i, table) for table in (*tables, *turned)]
+            lamps = [(theta_i, other) for other in (table, *turned)]
         for lean, table in lamps:
             if azimuth_is_free:
                 cameras = [(azimuths[0], theta_o)]

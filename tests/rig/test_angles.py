@@ -62,7 +62,7 @@ def test_direction_survives_spherical(w: FloatArray) -> None:
 def test_small_polar_angles_keep_their_digits(theta: float, phi: float) -> None:
     """Catch an arc cosine, which returns 0 for every angle below 1e-8."""
     recovered, _ = direction_to_spherical(spherical_to_direction(theta, phi))
-    assert recovered == pytest.approx(theta, rel=1e-14)
+    assert recovered == pytest.approx(theta, rel=1e-14, abs=0)
 
 
 @pytest.mark.parametrize("z", [1.0, -1.0])
@@ -141,7 +141,7 @@ def test_half_difference_keeps_digits_in_retro_and_opposition() -> None:
             theta_d = half_difference(spherical_to_direction(angle, 0.0), [0.0, 0.0, 1.0])[2]
             assert abs(float(theta_d) - float(exact)) <= 2.3e-16 * max(1.0, float(exact)) * 2
             if angle < 1.0:
-                assert float(theta_d) == pytest.approx(float(exact), rel=1e-14)
+                assert float(theta_d) == pytest.approx(float(exact), rel=1e-14, abs=0)
 
 
 @pytest.mark.parametrize(
@@ -164,6 +164,12 @@ def test_coincident_on_the_normal_is_all_zero() -> None:
     """Catch NaN or a stray azimuth where light, camera and normal coincide."""
     normal = [0.0, 0.0, 1.0]
     assert [float(a) for a in half_difference(normal, normal)] == [0.0, 0.0, 0.0, 0.0]
+
+
+@given(directions())
+def test_coincident_directions_have_no_difference_azimuth(w: FloatArray) -> None:
+    """Catch an azimuth made of rounding where light and camera coincide."""
+    assert half_difference(w, w)[2:] == (0.0, 0.0)
 
 
 def test_shapes_broadcast_and_nan_stays_in_its_place() -> None:
@@ -216,6 +222,14 @@ def test_wrap_keeps_the_angle(angle: float) -> None:
     assert turns == pytest.approx(round(turns), abs=1e-9)
     if -math.pi < angle <= math.pi:
         assert wrapped == angle
+
+
+@given(st.integers(-1000, 1000), st.integers(-3, 3))
+def test_wrap_near_odd_half_turns(half_turns: int, ulps: int) -> None:
+    """Catch rounding that leaves the interval at one of its ends."""
+    angle = (2 * half_turns + 1) * math.pi
+    angle += ulps * math.ulp(angle)
+    assert -math.pi < float(wrap(angle)) <= math.pi
 
 
 def test_wrap_at_the_seam() -> None:

@@ -231,6 +231,7 @@ def test_nobody_can_change_a_rig(default_rig: Rig) -> None:
         ("    -85.0,\n", "    5.0,\n", "joints[0].limits_deg", "low <= 0 <= high"),
         ("    -85.0,\n    85.0,\n", "    0.0,\n    0.0,\n", "joints[0].limits_deg", "low < high"),
         ("179.9", "180.0", "joints[1].limits_deg", "-180 to 179.91"),
+        ("179.9", "179.96", "joints[1].limits_deg", "-180 to 179.91"),
         ("gear_ratio = 1.0", "gear_ratio = 2.5", "joints[0].limits_deg", "-72 to 71.96"),
         ("park_deg = 0.0", "park_deg = 86.0", "joints[0].park_deg = 86.0", "-85 to 85"),
         ("    0.0,\n    1.0,\n    0.0,\n", "    0.0,\n    0.0,\n    0.0,\n", "joints[0].axis", "not zero"),
@@ -255,6 +256,13 @@ def test_bad_value_is_one_line(
     message = refusal(tmp_path, full_text.replace(old, new, 1))
     assert field in message
     assert helps in message
+
+
+def test_limits_reach_to_half_a_tick_beyond_the_last(tmp_path: Path, full_text: str) -> None:
+    """Catch limits refused though their nearest servo position exists, and ones beyond the servo's turn."""
+    rig = load_rig(write(tmp_path, full_text.replace("179.9,", "179.95,")))
+    joint = rig.joints[1]
+    assert [rad_to_ticks(joint, np.radians(limit)) for limit in joint.limits_deg] == [0, 4095]
 
 
 def test_stations_need_a_wheel_and_a_wheel_stations(tmp_path: Path, full_text: str) -> None:

@@ -244,6 +244,8 @@ def test_joints_to_spare_respect_their_limits() -> None:
     assert abs(angles[0]) <= math.radians(20.0)
     with pytest.raises(Refused, match="light"):
         redundant.solve(spherical_to_direction(math.radians(85.0), 0.0), wo)
+    at_the_corner = redundant.solve(spherical_to_direction(math.radians(79.99), 0.0), wo)
+    np.testing.assert_allclose(np.degrees(at_the_corner[:2]), [20.0, 60.0], atol=0.011)
 
 
 def test_unreachable_names_joint_angle_and_limits() -> None:
@@ -256,6 +258,29 @@ def test_unreachable_names_joint_angle_and_limits() -> None:
     assert "limits_deg" in message
     with pytest.raises(Refused, match="camera_elevation"):
         COMMON.solve(NORMAL, [0.0, 0.0, -1.0])  # from below
+
+
+def test_less_than_half_a_tick_beyond_a_limit_is_the_limit() -> None:
+    """Catch a refusal for an angle that no servo can tell from its limit, and angles beyond it."""
+    half_a_tick_deg = 180.0 / 4096
+    wi = spherical_to_direction(math.radians(85.0 + 0.9 * half_a_tick_deg), 0.0)
+    assert COMMON.solve(wi, NORMAL)[0] == math.radians(85.0)
+    with pytest.raises(Refused, match="light_elevation"):
+        COMMON.solve(spherical_to_direction(math.radians(85.0 + 1.1 * half_a_tick_deg), 0.0), NORMAL)
+
+
+def test_whole_turns_stay_near() -> None:
+    """Catch a geared joint unwinding a whole turn where a small move does."""
+    wheel = Joint(name="z", id=2, axis=(0.0, 0.0, 1.0), gear_ratio=0.5, limits_deg=(-360.0, 359.8))
+    hinge = Joint(name="y", id=3, axis=(0.0, 1.0, 0.0), limits_deg=(-80.0, 80.0))
+    lamp = Joint(name="lamp", id=4, axis=(0.0, 1.0, 0.0), limits_deg=(-80.0, 80.0))
+    table = Joint(name="table", id=5, axis=(0.0, 0.0, 1.0), limits_deg=(-180.0, 179.9))
+    arms = Arms(light=("lamp",), camera=("z", "y"), sample=("table",))
+    geared = Kinematics(Rig(joints=(lamp, wheel, hinge, table), arms=arms))
+    wi, wo = spherical_to_direction(0.3, 0.0), spherical_to_direction(0.6, math.radians(200.0))
+    for azimuth_deg in (200.0, -160.0):
+        near = np.radians([20.0, azimuth_deg + 5.0, 30.0, 0.0])
+        assert math.degrees(geared.solve(wi, wo, near)[1]) == pytest.approx(azimuth_deg)
 
 
 def test_out_of_plane_pose_of_an_in_plane_machine() -> None:

@@ -52,7 +52,7 @@ def test_pixels_project_back_onto_themselves(pose_deg: tuple[float, ...], camera
     rig, pose = describe(camera=camera), np.radians(pose_deg)
     pixels = pixel_geometry(rig, pose)
     seen = np.isfinite(pixels.camera_distance_mm)
-    assert seen.any()
+    assert seen.all() or pose_deg[2] > 80.0  # looking along the sample, the picture's top sees past it
     rows, columns = np.nonzero(seen)
     found = project(rig, pose, pixels.position_mm[seen])
     np.testing.assert_allclose(found, np.column_stack([columns, rows]), rtol=0, atol=1e-6)
@@ -198,4 +198,4 @@ def test_solid_angles(default_rig: Rig) -> None:
         exact
     )
     tiny = source_solid_angle_sr(describe(lamp=Lamp(distance_mm=1e5, diameter_mm=1e-3)))
-    assert tiny == pytest.approx(math.pi * 0.25e-16, rel=1e-12)
+    assert tiny == pytest.approx(math.pi * 0.25e-16, rel=1e-12, abs=0)
