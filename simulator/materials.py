@@ -111,7 +111,7 @@ def _flat(truth: Mapping[str, list[float]]) -> dict[str, float]:
 
 def lambert(rho: float, *, spec: str = "") -> ClosedFormMaterial:
     """Return an ideal diffuser of albedo `rho`: the white, or with 0 the light trap."""
-    return ClosedFormMaterial(spec or f"lambert:kd={rho!r}", "lambert", {"kd": rho})
+    return ClosedFormMaterial(spec or _line("lambert", {"kd": rho}), "lambert", {"kd": rho})
 
 
 def parse_material(spec: str | Material) -> Material:
@@ -159,7 +159,7 @@ def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str 
     parameters : mapping of str to float or tuple of float
         Value, or three, of each parameter.
     spec : str, optional
-        The line that names it, for messages.
+        The line that names it; by default one that `parse_material` reads back.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str 
     """
     from analysis.models import MODELS
 
-    spec = spec or model
+    spec = spec or _line(model, parameters)
     if model not in MODELS:
         kinds = [*MODELS, MITSUBA_PREFIX, MEASURED_PREFIX]
         nearest = difflib.get_close_matches(model, kinds, n=1)
@@ -188,6 +188,15 @@ def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str 
     except BadInput as error:
         raise BadInput(str(error), where=spec, todo="correct the value") from None
     return material
+
+
+def _line(model: str, parameters: Mapping[str, Value]) -> str:
+    """Write a material's line."""
+    parts = (
+        f"{name}={'/'.join(map(repr, value if isinstance(value, tuple) else (value,)))}"
+        for name, value in parameters.items()
+    )
+    return f"{model}:{','.join(parts)}"
 
 
 def _mitsuba(spec: str, rest: str) -> MitsubaMaterial:

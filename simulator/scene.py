@@ -57,8 +57,8 @@ def point_lamp(rig: Rig) -> dict[str, Any]:
 def disc_lamp(mi: Any, rig: Rig) -> dict[str, Any]:
     """Return the lamp as a disc of its diameter that faces the sample, which mirrors can show.
 
-    Its irradiance differs from the point's by the cosine at the disc, 1e-3 at the edge of the sample. A sphere would
-    not, but Mitsuba's single precision samples one as small as this with errors of several 1e-3.
+    Its irradiance differs from the point's by the cosine at the disc, 1e-3 at the edge of the sample. A
+    sphere's would not, but Mitsuba's single precision samples so small a one with errors of several 1e-3.
     """
     radius_mm = rig.lamp.diameter_mm / 2.0
     radiance = lamp_intensity(rig) / (math.pi * radius_mm**2)

@@ -198,7 +198,7 @@ class TestMethods:
 
     @pytest.mark.parametrize("spec", ["lambert:kd=0.5", "cook-torrance:kd=0.1,ks=0.5,m=0.2,ior=1.5"])
     def test_a_lamp_taken_for_a_point_is_within_the_stated_tolerance(self, vector: Any, spec: str) -> None:
-        """Would catch the skipped part of the light, the lamp's size, growing beyond what is stated for it."""
+        """Would catch the skipped part of the light, the lamp's size, growing beyond what is stated."""
         pose = (0.5, 0.0, -0.5, 0.2)
         disc = PathLight(vector, RIG, closed_form(spec), mirrors=True, samples_per_pixel=256)
         seen = inside(RIG, pose)
@@ -294,9 +294,10 @@ class TestRenderer:
         assert "\n" not in str(refused.value)
         assert spec in str(refused.value)
 
-    def test_a_mirror_shows_the_lamp_and_only_in_the_mirror_direction(self) -> None:
+    @pytest.mark.parametrize("variant", ["scalar", "llvm"])
+    def test_a_mirror_shows_the_lamp_and_only_in_the_mirror_direction(self, variant: str) -> None:
         """Would catch a mirror rendered black because a point cannot be hit by a ray."""
-        renderer = Renderer(RIG, {"sample1": "mitsuba:conductor,material=none"}, variant="scalar")
+        renderer = Renderer(RIG, {"sample1": "mitsuba:conductor,material=none"}, variant=variant)
         assert renderer.decisions["sample1"].method is Method.PATH
         seen = renderer.radiance("sample1", (0.5, 0.0, -0.5, 0.0))
         lamp = RIG.lamp.distance_mm**2 / (np.pi * (RIG.lamp.diameter_mm / 2.0) ** 2)

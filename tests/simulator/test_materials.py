@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.errors import BadInput
-from simulator.materials import ClosedFormMaterial, MitsubaMaterial, parse_material, station_materials
+from simulator.materials import (
+    ClosedFormMaterial,
+    MitsubaMaterial,
+    closed_form_material,
+    parse_material,
+    station_materials,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,6 +32,12 @@ def test_a_model_line_becomes_that_model() -> None:
     up = np.array([[0.0, 0.0, 1.0]])
     f = material.closed_form().evaluate(up, up)
     np.testing.assert_allclose(np.diff(f[0]), 0.1 / np.pi)
+
+
+def test_a_material_made_of_numbers_writes_a_line_that_makes_it_again() -> None:
+    """Would catch a material that changes on its way into another process."""
+    made = closed_form_material("phong", {"kd": (0.1, 1.0 / 3.0, 0.3), "ks": 0.25, "exponent": 7e-5})
+    assert parse_material(made.spec).truth == made.truth
 
 
 def test_a_mitsuba_line_becomes_a_description() -> None:
