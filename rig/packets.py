@@ -10,6 +10,7 @@ Nothing here is thread-safe: `rig.bus` gives one thread the wire.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -26,16 +27,13 @@ from dynamixel_sdk import (
 
 from rig.control_table import ALERT_BIT, BAUD_CODES, StatusError
 from rig.errors import BadInput, DeviceLost, Refused, Transient
-from rig.serial_line import open_port
+from rig.serial_line import empty_input, open_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 BLOCK_S = 0.005
 """How long one read of the port blocks: the resolution of every deadline, and no spinning."""
-
-DRAIN_LIMIT_S = 0.25
-"""After a lost reply the line is emptied until it is quiet, for this long at most."""
 
 PING_PARAMETERS = 3
 """A ping's reply carries model number (2 bytes) and firmware (1); no register read has this length."""
@@ -116,6 +114,10 @@ class DeadlinePort(PortHandler):  # type: ignore[misc] # the SDK is untyped
         """Every rate the servos know, 4.5 MBd included; the constructor refused the others."""
         return baudrate
 
+    def clearPort(self) -> None:  # noqa: N802
+        """Drop what arrived unasked; a port that is gone says so as every other call does."""
+        empty_input(self.ser)
+
     def getCurrentTime(self) -> float:  # noqa: N802
         """Milliseconds on a clock that nobody sets."""
         return time.monotonic() * 1000.0
@@ -159,7 +161,7 @@ class Wire:
     statistics: WireStatistics = field(default_factory=WireStatistics)
     _line: Any = field(init=False, repr=False)
     _packets: Any = field(init=False, repr=False)
-    _suspects: set[int] = field(init=False, default_factory=set, repr=False)
+    _in_step: set[int] = field(init=False, default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
         self._packets = StuffingPacketHandler()
@@ -197,7 +199,7 @@ class Wire:
         Transient
             If no valid reply comes in time.
         """
-        self._clear(servo_id)
+        self._get_in_step(servo_id)
         self._send(lambda: self._packets.readTx(self._line, servo_id, address, length))
         return self._reply(servo_id, length)
 
@@ -209,26 +211,24 @@ class Wire:
         Transient
             If no valid reply comes in time.
         """
-        self._clear(servo_id)
+        self._get_in_step(servo_id)
         self._send(lambda: self._packets.writeTxOnly(self._line, servo_id, address, len(data), list(data)))
         self._line.setPacketTimeout(11)
         return self._reply(servo_id, 0)
 
     def reboot(self, servo_id: int) -> Reply:
         """Restart one servo: torque goes off, RAM returns to its defaults, alerts are cleared."""
-        self._clear(servo_id)
+        self._get_in_step(servo_id)
         self._send(lambda: self._packets.txPacket(self._line, self._bare(servo_id, 8)))
         self._line.setPacketTimeout(11)
         return self._reply(servo_id, 0)
 
     def sync_read(self, servo_ids: Sequence[int], address: int, length: int) -> dict[int, Reply]:
         """Read the same bytes of several servos; who does not answer is missing from the result, never 0."""
-        for servo_id in [servo_id for servo_id in servo_ids if servo_id in self._suspects]:
-            try:
-                self._clear(servo_id)
-            except Transient:
-                continue  # its absence from the result below says so
-        asked = [servo_id for servo_id in servo_ids if servo_id not in self._suspects]
+        for servo_id in servo_ids:
+            with contextlib.suppress(Transient):  # its absence from the result below says so
+                self._get_in_step(servo_id)
+        asked = [servo_id for servo_id in servo_ids if servo_id in self._in_step]
         if not asked:
             return {}
         self._send(lambda: self._packets.syncReadTx(self._line, address, length, asked, len(asked), False))
@@ -241,7 +241,7 @@ class Wire:
                 replies[reply.servo_id] = reply
             else:
                 self.statistics.late += 1
-        self._suspects.update(servo_id for servo_id in asked if servo_id not in replies)
+        self._in_step.difference_update(missing(asked, replies))
         return replies
 
     def sync_write(self, address: int, values: Mapping[int, bytes]) -> None:
@@ -301,28 +301,21 @@ class Wire:
         while True:
             reply = self._next(parameters)
             if reply is None:
-                self._suspects.add(servo_id)
+                self._in_step.discard(servo_id)
                 raise Transient(f"servo {servo_id} did not answer in time", where=self.port, todo="try again")
             if reply.servo_id == servo_id:
                 return reply
             self.statistics.late += 1
 
-    def _clear(self, servo_id: int) -> None:
-        """Before talking again to a servo whose reply was lost, make sure that the reply cannot come late.
+    def _get_in_step(self, servo_id: int) -> None:
+        """Make sure that no reply of a servo is still on its way: our own, given up, or a predecessor's.
 
         The protocol numbers no packets, but a servo answers in order: once a ping, whose reply has a length
         of its own, is answered, whatever was asked before has been answered or never will be.
         """
-        if servo_id not in self._suspects:
-            return
-        self._drain()
-        self.ping(servo_id)
-        self._suspects.discard(servo_id)
-
-    def _drain(self) -> None:
-        deadline = time.monotonic() + DRAIN_LIMIT_S
-        while time.monotonic() < deadline and self._guard(lambda: self._line.readPort(1024)):
-            pass
+        if servo_id not in self._in_step:
+            self.ping(servo_id)
+            self._in_step.add(servo_id)
 
 
 def check(reply: Reply, action: str, port: str) -> Reply:

@@ -43,10 +43,24 @@ def open_port(port: str, baud: int, *, read_timeout_s: float) -> Any:
         line = serial.Serial(
             port, baud, timeout=read_timeout_s, write_timeout=WRITE_TIMEOUT_S, exclusive=True
         )
+        empty_input(line)
     except (serial.SerialException, OSError, ValueError) as error:
         raise _why(port, baud, error) from error
-    line.reset_input_buffer()
     return line
+
+
+def empty_input(line: Any) -> None:
+    """Drop all bytes that have arrived.
+
+    Raises
+    ------
+    serial.SerialException
+        If the port is gone.
+    """
+    try:
+        line.reset_input_buffer()
+    except Exception as error:  # termios.error is no OSError, and not every system has the module
+        raise serial.SerialException(str(error)) from error
 
 
 def _why(port: str, baud: int, error: Exception) -> BadInput | DeviceLost | Refused:
