@@ -17,28 +17,27 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from capture.merge import Flag
-from rig.pixels import pixel_geometry
 
 from analysis.binning import Dropped, PixelSignals, bin_ratio, curvature, make_bins
+from capture.merge import Flag
+from rig.pixels import irradiance, pixel_direction_derivatives, pixel_geometry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from rig.pixels import PixelGeometry
 
     from analysis.binning import Bins
     from analysis.white import WhiteReference
     from rig.description import Rig
+    from rig.pixels import PixelGeometry
 
     Float = NDArray[np.float64]
     Int = NDArray[np.intp]
 
-UNUSABLE = Flag.OVER_RANGE | Flag.HOT | Flag.NEIGHBOUR_CLIPPED | Flag.INCONSISTENT
-"""Flags that keep a pixel out of a bin. Under-range pixels stay: dropping the dark ones would raise every
-dark bin."""
+UNUSABLE = Flag.OVER_RANGE | Flag.NEAR_CLIPPED_USED | Flag.HOT | Flag.INCONSISTENT
+"""Flags that keep a pixel out of a bin. Under-range pixels stay: to drop the dark raises every dark bin."""
 
 STEP_RAD = 1e-4
-"""Step of the central differences of directions over joint angles; their error is of order 1e-9."""
+"""Step of the central difference of irradiance over a joint's angle."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def reduce_pose(
     seen = np.logical_and.reduce([_well_seen(rig, geometry, options) for geometry in geometries])
     pixels = _signals(images, geometries, _to_unit_f(rig, geometries, reference), seen)
     binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
-    u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, sample, white, bins, u_joint_rad)
+    u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, images, bins, u_joint_rad)
     u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
     kept = np.flatnonzero((binned.dropped == 0).any(axis=1))
     d_wi, d_wo = _direction_derivatives(rig, sample.angles_rad, bins)
@@ -228,20 +227,14 @@ def reduce_pose(
     )
 
 
-def irradiance(rig: Rig, geometry: PixelGeometry) -> Float:
-    """Give the small lamp's irradiance on each pixel's patch; 1 at the centre, lit from the normal."""
-    relative: Float = (rig.lamp.distance_mm / geometry.light_distance_mm) ** 2 * geometry.wi[..., 2]
-    return relative
-
-
 def _to_unit_f(
     rig: Rig, geometries: tuple[PixelGeometry, PixelGeometry], reference: WhiteReference
 ) -> tuple[Float, Float]:
     """Give the factor from the white to what f = 1/sr would signal, and the irradiance on the sample."""
-    on_sample, on_white = geometries
-    e_sample, e_white = irradiance(rig, on_sample), irradiance(rig, on_white)
+    white = geometries[1]
+    e_sample, e_white = (irradiance(rig, geometry) for geometry in geometries)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.pi / reference.rho(on_white.wi, on_white.wo) * e_sample / e_white, e_sample
+        return np.pi / reference.rho(white.wi, white.wo) * e_sample / e_white, e_sample
 
 
 def _signals(
@@ -257,7 +250,7 @@ def _signals(
     taken = [sample, white] if trap is None else [sample, white, trap]
     flags = np.bitwise_or.reduce([image.flags for image in taken])
     finite = np.logical_and.reduce([np.isfinite(image.radiance + image.variance) for image in taken])
-    over = (flags & Flag.OVER_RANGE).astype(bool) & ~(flags & Flag.HOT).astype(bool)
+    clipped = (flags & Flag.OVER_RANGE).astype(bool) & ~(flags & Flag.HOT).astype(bool)
     return PixelSignals(
         signal=sample.radiance - stray,
         signal_variance=sample.variance + stray_variance,
@@ -265,7 +258,7 @@ def _signals(
         reference_variance=(white.variance + stray_variance) * to_unit_f**2,
         weight=e_sample,
         usable=seen & finite & ~(flags & UNUSABLE).astype(bool),
-        clipped=seen & over,
+        clipped=seen & clipped,
         wi=geometries[0].wi,
         wo=geometries[0].wo,
     )
@@ -282,29 +275,26 @@ def _well_seen(rig: Rig, geometry: PixelGeometry, options: Options) -> NDArray[n
     return seen
 
 
-def _at_centres(rig: Rig, angles_rad: Float, bins: Bins) -> PixelGeometry:
-    rows, cols = bins.centres_px()
-    return pixel_geometry(rig, angles_rad, rows=rows, cols=cols)
-
-
 def _direction_derivatives(rig: Rig, angles_rad: Float, bins: Bins) -> tuple[Float, Float]:
-    """Central differences of the directions at the bins' centres over each joint; two (B, J, 3) arrays."""
-    derivatives: tuple[list[Float], list[Float]] = ([], [])
-    for step in np.eye(len(angles_rad)) * STEP_RAD:
-        after, before = (_at_centres(rig, angles_rad + sign * step, bins) for sign in (1, -1))
-        derivatives[0].append((after.wi - before.wi).reshape(-1, 3) / (2 * STEP_RAD))
-        derivatives[1].append((after.wo - before.wo).reshape(-1, 3) / (2 * STEP_RAD))
-    return np.stack(derivatives[0], axis=1), np.stack(derivatives[1], axis=1)
+    """Give the change of the directions at the bins' centres, (B, J, 3) each, per radian of each joint."""
+    rows, cols = bins.centres_px()
+    derivatives = pixel_direction_derivatives(rig, angles_rad, rows=rows, cols=cols)
+    d_wi, d_wo = (np.moveaxis(values, 0, 2).reshape(bins.count, -1, 3) for values in derivatives)
+    return d_wi, d_wo
 
 
-def _irradiance_uncertainty(rig: Rig, sample: Image, white: Image, bins: Bins, u_joint_rad: Float) -> Float:
+def _irradiance_uncertainty(rig: Rig, images: PoseImages, bins: Bins, u_joint_rad: Float) -> Float:
     """Relative uncertainty (B, 1) of E_s / E_w from joints that moved between white and sample."""
+    rows, cols = bins.centres_px()
+    poses = (images.sample.angles_rad, images.white.angles_rad)
     variance = np.zeros(bins.count)
-    for joint in np.flatnonzero(sample.angles_rad != white.angles_rad):
-        step = np.eye(len(u_joint_rad))[joint] * STEP_RAD
-        for angles_rad in (sample.angles_rad, white.angles_rad):
+    for joint in np.flatnonzero(poses[0] != poses[1]):
+        step = np.zeros_like(u_joint_rad)
+        step[joint] = STEP_RAD
+        for angles_rad in poses:
             after, before = (
-                irradiance(rig, _at_centres(rig, angles_rad + sign * step, bins)).ravel() for sign in (1, -1)
+                irradiance(rig, pixel_geometry(rig, angles_rad + sign * step, rows=rows, cols=cols)).ravel()
+                for sign in (1, -1)
             )
             with np.errstate(invalid="ignore", divide="ignore"):
                 slope = (np.log(after) - np.log(before)) / (2 * STEP_RAD)

@@ -1,8 +1,8 @@
-"""A session to BRDF samples: frames to radiance, over the white, with geometry, to one table with its uncertainty.
+"""A session to BRDF samples: merged, divided by the white, put together with their uncertainty.
 
-The physics is in `analysis.measurement`, the bins in `analysis.binning`; here poses are read, merged, reduced and
-put together, in the order of the plan, so that a session gives the same table bit for bit however often it was
-interrupted and however many threads reduce it.
+The physics is in `analysis.measurement`, the bins in `analysis.binning`; here poses are read, merged, reduced
+and put together, in the order of the plan, so that a session gives the same table bit for bit however often
+it was interrupted and however many threads reduce it.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from analysis.samples import make_samples
 from analysis.session_images import SessionImages
 from analysis.white import white_of
 from rig.errors import BadInput
+from rig.pixels import receiver_solid_angle_sr, source_solid_angle_sr
 from rig.ticks import tick_rad
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     import xarray as xr
+    from capture.session import Session
     from numpy.typing import NDArray
 
     from analysis.session_images import PosePair
-    from capture.session import Session
     from rig.description import Rig
 
     Float = NDArray[np.float64]
@@ -110,7 +111,8 @@ def reduce_session(
 def joint_resolution(rig: Rig) -> Float:
     """Give the standard uncertainty of each arm joint's angle from its encoder's step, (J,) radians.
 
-    An even distribution over one step has the standard deviation step / sqrt(12) (GUM, JCGM 100:2008, F.2.2.1).
+    An even distribution over one step has the standard deviation step / sqrt(12) (GUM, JCGM 100:2008,
+    F.2.2.1).
     """
     return np.array([tick_rad(joint) for joint in rig.arm_joints]) / math.sqrt(12)
 
@@ -165,8 +167,8 @@ def assemble(
         joined("wo"),
         joined("f_r"),
         channels=channels,
-        source_solid_angle_sr=_disc_solid_angle(rig.lamp.diameter_mm, rig.lamp.distance_mm),
-        receiver_solid_angle_sr=_disc_solid_angle(rig.camera.aperture_diameter_mm, rig.camera.distance_mm),
+        source_solid_angle_sr=source_solid_angle_sr(rig),
+        receiver_solid_angle_sr=receiver_solid_angle_sr(rig),
         source=source,
         flags=joined("dropped"),
         u_noise=joined("u_noise"),
@@ -186,11 +188,6 @@ def assemble(
     samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])
     samples.attrs |= dict(provenance or {})
     return samples
-
-
-def _disc_solid_angle(diameter_mm: float, distance_mm: float) -> float:
-    """Solid angle of a disc seen from its axis, sr."""
-    return 2 * math.pi * (1 - math.cos(math.atan2(diameter_mm / 2, distance_mm)))
 
 
 def _totals(prefix: str, counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
