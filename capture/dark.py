@@ -330,3 +330,12 @@ def _given_levels(dark: object, stack: Stack) -> tuple[tuple[NDArray[Any], ...],
     if values.ndim in {0, 2}:
         return (np.atleast_2d(values),) * number, raw_darks
     return tuple(np.atleast_2d(value) for value in values), raw_darks
+
+
+def black_cell(dark: Subtrahend) -> NDArray[np.float64]:
+    """Median dark level of the first frame at each position of the cell."""
+    level = dark.level_dn[0]
+    parts = [[level[row::2, col::2] for col in (0, 1)] for row in (0, 1)]
+    return np.array(
+        [[float(np.median(p)) if p.size else float(np.median(level)) for p in row] for row in parts]
+    )

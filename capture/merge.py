@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from capture.clip import Ramp, clip_levels
-from capture.dark import Dark, Subtrahend, subtrahend
+from capture.dark import Dark, Subtrahend, black_cell, subtrahend
 from capture.estimate import Sample, estimate
 from capture.frames import Frames, Stack, any_in_cell, as_stack, thin, thinning
 from capture.noise import Noise, measured_noise
@@ -48,8 +48,8 @@ _BLOCK_PIXELS = 1 << 15
 _SAMPLE_PIXELS = 150_000
 _ITERATIONS = 2
 
-SUSPECT_ERROR = 0.03
-"""How much too low a sample beside a clipped one may read, as a fraction (blooming, crosstalk)."""
+SUSPECT_ERROR = 0.02
+"""How much too low a sample beside a clipped one may read (blooming, crosstalk); 1.2 to 2.8 % on a CCD camera."""
 
 _INCONSISTENT_P = 1e-6
 
@@ -70,7 +70,7 @@ class Flag(IntFlag):
     INCONSISTENT = 16
     """The frames disagree by more than their noise: something moved, flickered, or is not linear."""
     NEAR_CLIPPED_USED = 32
-    """With them left out less than `SUSPECT_ERROR` could be told: they were used, the value may be low by it."""
+    """Such frames had to be used, the rest told less than `SUSPECT_ERROR`: the value may be low by it."""
 
 
 class _Merged(NamedTuple):
@@ -132,10 +132,10 @@ def merge(
     exposure_s : sequence of float or None
         Exposure times in seconds, same order; None where the frames carry them.
     dark : optional
-        What to subtract: a `DarkModel`; a number; an (H, W) bias; one number or one (H, W) dark per frame; or
-        dark RAW frames or paths, matched by exposure. Integer arrays per frame are taken as single dark frames,
-        with the noise of one; floating-point arrays as exact. None: the black level of the sensor model or the
-        files, and the sensor model's dark current.
+        What to subtract: a `DarkModel`; a number; an (H, W) bias; one number or one (H, W) dark per frame;
+        or dark RAW frames or paths, matched by exposure. Integer arrays per frame are taken as single dark
+        frames, with the noise of one; floating-point arrays as exact. None: the black level of the sensor
+        model or the files, and the sensor model's dark current.
     sensor : SensorModel, optional
         Gain, read noise and clip levels. Without it the weights are Poisson's, the gain is measured from the
         scatter of the frames (1 DN per electron where it cannot be), and the clip levels from the frames.
@@ -157,7 +157,7 @@ def merge(
 def merge_stack(stack: Stack, dark: Subtrahend, sensor: SensorModel | None = None) -> Merged:
     """Merge checked frames with the darks that belong to them; see `merge`."""
     step = thinning(stack.shape, _SAMPLE_PIXELS)
-    clip = clip_levels(stack.thinned(step), _black_cell(dark), sensor)
+    clip = clip_levels(stack.thinned(step), black_cell(dark), sensor)
     if sensor is not None:
         noise = Noise(sensor.gain_dn_per_e, sensor.floor_variance_dn2, "sensor model")
     else:
@@ -177,21 +177,12 @@ def merge_stack(stack: Stack, dark: Subtrahend, sensor: SensorModel | None = Non
     return merged
 
 
-def _black_cell(dark: Subtrahend) -> NDArray[np.float64]:
-    """Median dark level of the first frame at each position of the cell."""
-    level = dark.level_dn[0]
-    parts = [[level[row::2, col::2] for col in (0, 1)] for row in (0, 1)]
-    return np.array(
-        [[float(np.median(p)) if p.size else float(np.median(level)) for p in row] for row in parts]
-    )
-
-
 def _noise_of_frames(stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], step: int) -> Noise:
     """Gain and floor from a part of the frames, or unit gain where they do not show it."""
     least = stack.quantisation_step_dn**2 / 12.0
     part = stack.thinned(step)
     counts = [frame.astype(np.float64) for frame in part.counts]
-    ramp = Ramp(clip, _black_cell(dark), part.shape, np.dtype(np.float64))
+    ramp = Ramp(clip, black_cell(dark), part.shape, np.dtype(np.float64))
     usable = np.stack([(ramp.weights(frame) >= 1.0) & ~any_in_cell(ramp.clipped(frame)) for frame in counts])
     if dark.hot is not None:
         usable &= ~thin(dark.hot, step)
@@ -229,7 +220,7 @@ class _Job:
         return cls(
             stack=stack,
             dark=dark,
-            ramp=Ramp(clip, _black_cell(dark), (per_block, cols), dtype),
+            ramp=Ramp(clip, black_cell(dark), (per_block, cols), dtype),
             noise=noise,
             iterations=iterations,
             limits=_chi_square_limits(len(stack.counts)),

@@ -1,0 +1,110 @@
+"""A merge on disk, and as a small picture to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture.merge import Flag
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from capture.merge import Merged
+
+_FILL = Flag.HOT | Flag.INCONSISTENT
+
+
+def write_radiance(
+    path: str | os.PathLike[str],
+    merged: Merged,
+    *,
+    exposure_nominal_s: Sequence[float],
+    files: Sequence[str],
+    cfa: NDArray[np.int64],
+    channels: Sequence[str],
+) -> None:
+    """Write a merge as compressed .npz; it appears under its name complete.
+
+    Keys: radiance (DN/s), variance ((DN/s)^2), flags (`Flag` bits), each (H, W); exposure_s (as used),
+    exposure_nominal_s, files, each (N,); clip_dn, cfa, each (2, 2); channels.
+
+    Parameters
+    ----------
+    path : path
+        The file, replaced where it exists.
+    merged : Merged
+        What to write.
+    exposure_nominal_s : sequence of float
+        Stated exposure times.
+    files : sequence of str
+        Names of the frames.
+    cfa, channels
+        As in `RawFrame`.
+    """
+    path = Path(path)
+    hidden = path.with_name(f".{path.name}.part")
+    try:
+        with hidden.open("wb") as file:
+            np.savez_compressed(
+                file,
+                radiance=merged.radiance,
+                variance=merged.variance,
+                flags=merged.flags,
+                exposure_s=np.asarray(merged.report.exposure_s),
+                exposure_nominal_s=np.asarray(exposure_nominal_s),
+                clip_dn=np.reshape(np.asarray(merged.report.clip_dn), (2, 2)),
+                cfa=cfa,
+                channels=np.asarray(channels),
+                files=np.asarray(files),
+            )
+        hidden.replace(path)
+    finally:
+        hidden.unlink(missing_ok=True)
+
+
+def preview(merged: Merged, cfa: NDArray[np.int64], channels: Sequence[str]) -> NDArray[np.uint8]:
+    """Picture of a merge at half size: one pixel per 2 x 2 cell, logarithmic over four decades at most.
+
+    Hot and inconsistent pixels are filled with the median of their cell neighbours, here only.
+
+    Parameters
+    ----------
+    merged : Merged
+        Radiance and flags.
+    cfa, channels
+        As in `RawFrame`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H // 2, W // 2, 3)
+        Red, green, blue, each channel scaled to its own 99.5th percentile.
+    """
+    rows, cols = (size // 2 * 2 for size in merged.radiance.shape)
+    bad = (merged.flags[:rows, :cols] & np.uint8(_FILL)) != 0
+    filled = np.where(
+        bad, _same_position_median(merged.radiance[:rows, :cols]), merged.radiance[:rows, :cols]
+    )
+    planes = []
+    for channel in range(len(channels)):
+        places = [(row, col) for row in (0, 1) for col in (0, 1) if cfa[row, col] == channel]
+        plane = np.mean([filled[row::2, col::2] for row, col in places], axis=0)
+        top = max(float(np.percentile(plane, 99.5)), 1e-30)
+        floor = max(float(np.percentile(plane, 0.5)) / top, 1e-4)
+        planes.append(1.0 - np.log10(np.clip(plane / top, floor, 1.0)) / np.log10(min(floor, 0.5)))
+    if len(planes) == 1:
+        planes *= 3
+    return np.rint(np.stack(planes, axis=-1) * 255.0).astype(np.uint8)
+
+
+def _same_position_median(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Median of the eight nearest pixels at the same position of the cell."""
+    padded = np.pad(values, 2, mode="reflect")
+    rows, cols = values.shape
+    shifts = [(row, col) for row in (0, 2, 4) for col in (0, 2, 4) if (row, col) != (2, 2)]
+    return np.median([padded[row : row + rows, col : col + cols] for row, col in shifts], axis=0)
