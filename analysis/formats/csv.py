@@ -55,10 +55,11 @@ def read(path: Path) -> xr.Dataset:
         if text.strip() and not text.lstrip().startswith("#")
     ]
     header_line, header_text = lines[0]
-    header = [cell.strip() for cell in next(csv.reader([header_text]))]
+    header = _cells(header_text, f"{path}: line {header_line}")
     values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
     rows = []
-    for (line, _), cells in zip(lines[1:], csv.reader(text for _, text in lines[1:]), strict=False):
+    for line, text in lines[1:]:
+        cells = _cells(text, f"{path}: line {line}")
         if len(cells) != len(header):
             raise BadInput(
                 f"has {len(cells)} cells, the header {len(header)}",
@@ -67,7 +68,7 @@ def read(path: Path) -> xr.Dataset:
             )
         rows.append(
             [
-                number(cell.strip(), where=f"{path}: line {line}, column {name}")
+                number(cell, where=f"{path}: line {line}, column {name}")
                 for name, cell in zip(header, cells, strict=True)
             ]
         )
@@ -106,6 +107,13 @@ def write(samples: xr.Dataset, path: Path) -> None:
         writer = csv.writer(stream)
         writer.writerow(header)
         writer.writerows([repr(float(cell)) for cell in row] for row in np.stack(columns, axis=1)[usable])
+
+
+def _cells(text: str, where: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([text]))]
+    except csv.Error as error:
+        raise BadInput(f"is no row of a table ({error})", where=where, todo="correct the line") from None
 
 
 def _columns(header: list[str], *, where: str) -> tuple[list[str], list[str]]:

@@ -46,7 +46,7 @@ def read(path: Path) -> xr.Dataset:
     import xarray as xr
 
     try:
-        with xr.open_dataset(path, engine="h5netcdf", chunks=None, cache=False) as opened:
+        with xr.open_dataset(path, engine="h5netcdf", phony_dims="access", cache=False) as opened:
             _check(opened, path)
             stored = opened.load()
     except BadInput:
@@ -72,11 +72,7 @@ def read(path: Path) -> xr.Dataset:
     except BadInput as error:
         raise BadInput(str(error), where=str(path)) from None
     extra = {name: stored[name] for name in stored.data_vars if name not in UNITS}
-    extra_coordinates = {
-        name: stored[name]
-        for name in stored.coords
-        if name not in {*made.coords, *made.sizes, "wavelength_nm"}
-    }
+    extra_coordinates = {name: stored[name] for name in stored.coords if name not in made.coords}
     return made.assign(extra).assign_coords(extra_coordinates).assign_attrs(attributes)
 
 

@@ -10,7 +10,7 @@ from rig.errors import BadInput
 if TYPE_CHECKING:
     from pathlib import Path
 
-LARGEST_TEXT_BYTES = 512 * 1024**2
+LARGEST_TEXT_BYTES = 64 * 1024**2
 
 
 def looks_like_text(head: bytes) -> bool:
