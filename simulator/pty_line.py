@@ -46,7 +46,7 @@ class PtyLine:
 
     def __init__(self, link: Path, poller: select.epoll) -> None:
         self._link, self._poller = link, poller
-        self._hang_up_is_ours = False
+        self._hang_up_is_ours = self._deserted = False
         self._open()
 
     def close(self) -> None:
@@ -57,16 +57,22 @@ class PtyLine:
     def read(self) -> bytes:
         """Read all that clients have written; empty if there is nothing."""
         chunks = []
-        # Nothing left is EAGAIN; nothing left and nobody there is EIO.
-        with contextlib.suppress(OSError):
-            while chunk := os.read(self.fd, _CHUNK):
-                chunks.append(chunk)
+        while True:
+            try:
+                chunks.append(os.read(self.fd, _CHUNK))
+            except BlockingIOError:
+                self._deserted = False
+                break
+            except OSError:  # EIO: nothing left, and nobody there
+                self._deserted = True
+                break
         return b"".join(chunks)
 
     def write(self, data: bytes) -> None:
         """Send bytes; as on a real line, what nobody takes is lost."""
-        with contextlib.suppress(OSError):
-            os.write(self.fd, data)
+        if not self._deserted:
+            with contextlib.suppress(OSError):
+                os.write(self.fd, data)
 
     def renew_if_abandoned(self) -> bool:
         """Bring the line back to new if its last client has gone since the last call.
@@ -110,7 +116,10 @@ class PtyLine:
         """Leave the terminal as a new one: raw, without echo, unlocked, empty. Closes it."""
         fcntl.ioctl(terminal, termios.TIOCNXCL)
         tty.setraw(terminal, termios.TCSANOW)
-        termios.tcflush(terminal, termios.TCIOFLUSH)
+        # What nobody read may still be on its way from this end, or lie at the other. What a new client has
+        # just written stays.
+        termios.tcflush(self.fd, termios.TCOFLUSH)
+        termios.tcflush(terminal, termios.TCIFLUSH)
         # Closing it is a hang-up too, the one that says nothing about a client.
         self._hang_up_is_ours = True
         os.close(terminal)

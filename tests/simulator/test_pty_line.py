@@ -1,0 +1,181 @@
+"""A line that outlives its clients, whoever they are and however they go."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import signal
+import sys
+import tempfile
+import termios
+import time
+import tty
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as Linux has them")
+
+NOBODY = 65_534
+ROOT = os.geteuid() == 0
+STARTING_A_PROGRAM_S = 0.02
+"""No client follows another sooner than a program starts; a fork of this process would."""
+AS_USERS = [None, NOBODY] if ROOT else [None]
+
+
+def fork(work: Callable[[], None], user: int | None) -> int:
+    """Run something in a process of its own, as another user if asked; its process ID."""
+    pid = os.fork()
+    if pid:
+        return pid
+    try:
+        if user is not None:
+            os.setgroups([])
+            os.setgid(user)
+            os.setuid(user)
+        work()
+        os._exit(0)
+    except BaseException as error:  # noqa: BLE001 - a forked child must not run the parent's clean-up
+        sys.stderr.write(f"child: {error!r}\n")
+    finally:
+        os._exit(1)
+
+
+def echo_upper(link: Path) -> None:
+    """Serve the line for ever: what arrives goes back in capitals."""
+    from simulator.pty_line import PtyLine
+
+    poller = select.epoll()
+    line = PtyLine(link, poller)
+    while True:
+        for _, events in poller.poll():
+            line.write(line.read().upper())
+            if events & select.EPOLLHUP:
+                line.renew_if_abandoned()
+
+
+@pytest.fixture(params=AS_USERS, ids=lambda user: "nobody" if user else "myself")
+def server(request: pytest.FixtureRequest) -> Iterator[tuple[Path, int | None]]:
+    """Serve a line as any user that can be had; its path and who serves it."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o777)
+        link = Path(folder) / "line"
+        pid = fork(lambda: echo_upper(link), request.param)
+        deadline = time.monotonic() + 5.0
+        while not link.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        yield link, request.param
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+
+
+def open_line(link: Path) -> int:
+    """Open the line as a client, waiting out the moment in which it is renewed."""
+    deadline = time.monotonic() + 1.0
+    while True:
+        try:
+            return os.open(link, os.O_RDWR | os.O_NOCTTY)
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.001)
+
+
+def exchange(fd: int, data: bytes, wanted: int, wait_s: float = 1.0) -> bytes:
+    """Write and read until so many bytes have come or time is up."""
+    os.write(fd, data)
+    received = b""
+    deadline = time.monotonic() + wait_s
+    while len(received) < wanted and (left := deadline - time.monotonic()) > 0:
+        if select.select([fd], [], [], left)[0]:
+            received += os.read(fd, 4096)
+    return received
+
+
+def client_that_is_killed(link: Path, user: int | None, *, exclusive: bool) -> None:
+    """Let a client use the line, leave answers unread, lock it if asked, and be killed with the port open."""
+    ready, tell = os.pipe()
+
+    def work() -> None:
+        fd = open_line(link)
+        if exclusive:
+            fcntl.ioctl(fd, termios.TIOCEXCL)
+        assert exchange(fd, b"hello", 5) == b"HELLO"
+        os.write(fd, b"never read")
+        mode = termios.tcgetattr(fd)
+        mode[3] |= termios.ECHO | termios.ICANON
+        termios.tcsetattr(fd, termios.TCSANOW, mode)
+        os.write(tell, b"!")
+        time.sleep(60)
+
+    pid = fork(work, user)
+    os.close(tell)
+    assert os.read(ready, 1) == b"!", "the client could not use the line"
+    os.close(ready)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    time.sleep(STARTING_A_PROGRAM_S)
+
+
+@pytest.mark.parametrize("exclusive", [False, True], ids=["shared", "exclusive"])
+@pytest.mark.parametrize("user", AS_USERS, ids=lambda user: "nobody" if user else "myself")
+def test_a_killed_client_is_followed_by_another(
+    server: tuple[Path, int | None], user: int | None, exclusive: bool
+) -> None:
+    """Catches a port that stays locked, echoes, or hands the dead client's answers to the next one."""
+    link, served_by = server
+    if served_by is not None and user is None:
+        pytest.skip("root may do anything; the lines that nobody serves are for nobody")
+    for _ in range(3):
+        client_that_is_killed(link, user, exclusive=exclusive)
+    client_that_is_killed(link, NOBODY if ROOT else None, exclusive=exclusive)
+
+
+def test_a_new_line_is_raw_and_open_to_everybody(server: tuple[Path, int | None]) -> None:
+    """Catches an echo loop before the first client has set raw mode, and ports for root only."""
+    link, _ = server
+    fd = open_line(link)
+    assert not termios.tcgetattr(fd)[3] & (termios.ECHO | termios.ICANON)
+    assert os.fstat(fd).st_mode & 0o666 == 0o666
+    assert exchange(fd, bytes(range(32)), 32) == bytes(range(32))
+    os.close(fd)
+
+
+def test_bytes_of_a_client_that_left_at_once_are_still_heard(tmp_path: Path) -> None:
+    """Catches the last words of a client that writes and exits, such as a stop, being thrown away."""
+    from simulator.pty_line import PtyLine
+
+    poller = select.epoll()
+    line = PtyLine(tmp_path / "line", poller)
+    fd = open_line(tmp_path / "line")
+    tty.setraw(fd)
+    os.write(fd, b"stop")
+    os.close(fd)
+    assert line.read() == b"stop"
+    line.close()
+    assert not (tmp_path / "line").exists()
+    with contextlib.suppress(OSError):
+        poller.close()
+
+
+def test_nobody_there_costs_nothing(tmp_path: Path) -> None:
+    """Catches a busy loop: a line without a client must let the poller sleep."""
+    from simulator.pty_line import PtyLine
+
+    with contextlib.closing(select.epoll()) as poller:
+        line = PtyLine(tmp_path / "line", poller)
+        turns = 0
+        end = time.monotonic() + 0.2
+        while (left := end - time.monotonic()) > 0:
+            for _ in poller.poll(left):
+                line.read()
+                line.renew_if_abandoned()
+                turns += 1
+        assert turns <= 2
+        line.close()
