@@ -1,9 +1,10 @@
-"""Do stated uncertainties hold? Many seeds of the demonstration, without wires: light, sensor, merge, reduce, fit.
+"""Do stated uncertainties hold? Many seeds of the demonstration, without wires.
 
     python -m benchmarks.coverage_study --seeds 20
 
-Prints, per parameter, bias, scatter over the seeds, mean stated u, and how many pulls exceed 3. What it leaves out
-is only what no number depends on: the ports, the files, the journal.
+Light, sensor, merge, reduction and fit are those of the demonstration; ports, files and journal, which no
+number depends on, are left out. Prints, per parameter, bias, scatter over the seeds, mean stated u, and how
+many pulls lie beyond 3.
 """
 
 from __future__ import annotations
@@ -166,7 +167,8 @@ def main() -> int:
         runs = list(pool.map(recovered, range(options.seeds)))
     for entry in summarise(runs):
         print(
-            f"{entry['name']:30} worst {entry['worst_percent']:7.3f} %  bias {entry['bias_percent']:+8.4f} %  "
+            f"{entry['name']:30} worst {entry['worst_percent']:7.3f} %  "
+            f"bias {entry['bias_percent']:+8.4f} %  "
             f"scatter {entry['scatter_percent']:7.4f} %  u {entry['u_percent']:7.4f} %  "
             f"pull rms {entry['pull_rms']:5.2f}  |pull| > 3: {entry['beyond_3']}"
         )
