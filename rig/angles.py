@@ -236,8 +236,8 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
     angles = np.asarray(angle, dtype=np.float64)
     with np.errstate(invalid="ignore"):
         turned = angles - 2.0 * np.pi * np.ceil((angles - np.pi) / (2.0 * np.pi))
-    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))
-    return np.where((angles > -np.pi) & (angles <= np.pi), angles, turned)
+    # Rounding can carry odd half turns past the upper end, and angles inside off their last digit.
+    return np.where((angles > -np.pi) & (angles <= np.pi), angles, np.minimum(turned, np.pi))
 
 
 def _components(w: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
