@@ -133,7 +133,7 @@ class Twin:
         Returns
         -------
         list of dict
-            In order. `t` is the monotonic time; `line` is "servos" or "lamp" with `direction` ("in" from the
+            In order of time. `t` is the monotonic time; `line` is "servos" or "lamp" with `direction` ("in" from the
             client, "out" to it) and `data` (hex), or "state" with `event`: "light" (`on`), "shutter"
             (`open`), "exposed", "aborted", "frame", "frame_failed", "watchdog", "interlock", "client_gone".
         """
@@ -143,7 +143,8 @@ class Twin:
             process.stdin.flush()
             self._hear()
         lines = (self.folder / "wire.log").read_text(encoding="ascii").splitlines()
-        return [json.loads(line) for line in lines]
+        # What the lamp does by itself is noted when the loop gets to it, with the time when it was due.
+        return sorted(map(json.loads, lines), key=lambda event: float(event["t"]))
 
     def close(self) -> None:
         """End the twin; its temporary folder goes with it."""
