@@ -91,6 +91,7 @@ class _CommonMachine(NamedTuple):
 
     @staticmethod
     def recognise(kinematics: Kinematics) -> _CommonMachine | None:
+        """Find the four joints in a machine; None if it is another one."""
         chains = (kinematics.light_chain, kinematics.camera_chain, kinematics.sample_chain)
         places = tuple(itertools.chain(*chains))
         if [len(chain) for chain in chains] != [1, 2, 1] or len(set(places)) != 4:
@@ -113,15 +114,16 @@ class _CommonMachine(NamedTuple):
         theta_i, phi_i = (float(angle) for angle in direction_to_spherical(wi))
         theta_o, phi_o = (float(angle) for angle in direction_to_spherical(wo))
         places = [self.light, self.azimuth, self.elevation, self.table]
-        _, azimuths, _, (table, *_) = np.column_stack([near, limits])[places] * np.reshape(self.signs, (4, 1))
+        # Columns: near, low, high; the order of low and high does not matter below.
+        _, azimuths, _, tables = np.column_stack([near, limits])[places] * np.reshape(self.signs, (4, 1))
         azimuth_is_free = math.sin(theta_o) < _POLE
         if math.sin(theta_i) >= _POLE:
             lamps = [(theta_i, -phi_i), (-theta_i, math.pi - phi_i)]
         elif azimuth_is_free:
-            lamps = [(theta_i, table)]
+            lamps = [(theta_i, tables[0])]
         else:
             turned = [azimuth - phi_o + half for azimuth in azimuths for half in (0.0, math.pi)]
-            lamps = [(theta_i, other) for other in (table, *turned)]
+            lamps = [(theta_i, table) for table in (tables[0], *turned)]
         for lean, table in lamps:
             if azimuth_is_free:
                 cameras = [(azimuths[0], theta_o)]
