@@ -133,8 +133,8 @@ class Twin:
         Returns
         -------
         list of dict
-            In order of time. `t` is the monotonic time; `line` is "servos" or "lamp" with `direction` ("in" from the
-            client, "out" to it) and `data` (hex), or "state" with `event`: "light" (`on`), "shutter"
+            In order of time. `t` is the monotonic time; `line` is "servos" or "lamp" with `direction` ("in"
+            from the client, "out" to it) and `data` (hex), or "state" with `event`: "light" (`on`), "shutter"
             (`open`), "exposed", "aborted", "frame", "frame_failed", "watchdog", "interlock", "client_gone".
         """
         process = self._running()
