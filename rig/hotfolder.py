@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rig.errors import BadInput, DeviceLost, Refused, Transient
 
@@ -25,6 +25,9 @@ CLOCK_SLACK_S = 2.0
 
 EXPOSURE_RATIO = 2.0 ** (1.0 / 6.0)
 """Cameras round exposure times; half a third-stop apart is still the same step, more is another one."""
+
+Entry: TypeAlias = tuple[str, int, int]
+"""A file as it was: name, size in bytes, time of its last change in nanoseconds."""
 
 RAW_SUFFIXES = frozenset(
     {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".raw", ".rw2", ".tif", ".tiff"}
@@ -56,7 +59,7 @@ class FrameFacts(Protocol):
 class Mark:
     """The folder at the moment of a trigger: what was there already cannot be its picture."""
 
-    files: frozenset[tuple[str, int, int]]
+    files: frozenset[Entry]
     wall_s: float
 
 
@@ -74,6 +77,16 @@ class _Wanted:
     shutter_s: float
     lit: bool | None
     mark: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What one wait has seen so far."""
+
+    wanted: _Wanted
+    sizes: dict[str, Entry] = field(default_factory=dict)
+    unreadable: dict[Entry, tuple[Path, str]] = field(default_factory=dict)
+    strays: list[Stray] = field(default_factory=list)
 
 
 class HotFolder:
@@ -101,7 +114,9 @@ class HotFolder:
         self.folder, self.serial = folder, serial
         self.on_stray = on_stray
         self._inspect = inspect
-        self._reported: set[tuple[str, int, int]] = set()
+        self._known: set[Entry] = set()
+        """Files that were there before the first shot, were pictures, or have been reported."""
+        self._marked = False
 
     def require(self) -> None:
         """Pass only if the folder is there.
@@ -119,8 +134,15 @@ class HotFolder:
             )
 
     def mark(self) -> Mark:
-        """Remember what is there, right before a trigger."""
-        return Mark(frozenset(entry for _, entry in self._entries()), time.time())
+        """Remember what is there, right before a trigger; what came unasked since the last one is a stray."""
+        entries = list(self._entries())
+        if not self._marked:
+            self._known.update(entry for _, entry in entries)
+            self._marked = True
+        for path, entry in entries:
+            if entry not in self._known:
+                self._report(path, entry, "came when no picture was waited for")
+        return Mark(frozenset(entry for _, entry in entries), time.time())
 
     def wait_for(
         self,
@@ -163,35 +185,36 @@ class HotFolder:
         Refused
             If the waiting was cancelled.
         """
-        wanted = _Wanted(shot_id, shutter_s, lit, newer_than)
+        look = _Look(_Wanted(shot_id, shutter_s, lit, newer_than))
         deadline = time.monotonic() + timeout_s
-        sizes: dict[str, tuple[str, int, int]] = {}
-        unreadable: dict[tuple[str, int, int], tuple[Path, str]] = {}
-        strays: list[Stray] = []
         while time.monotonic() < deadline:
             if cancelled():
                 raise Refused("the machine was stopped", where=f"shot {shot_id}", todo="run again")
-            for path, entry in self._arrivals(newer_than, sizes):
-                if entry in unreadable:
-                    continue
-                try:
-                    facts = self._inspect(path)
-                except (BadInput, OSError) as error:
-                    unreadable[entry] = (
-                        path,
-                        str(error),
-                    )  # it may still grow
-                    continue
-                reason = self._mismatch(facts, entry, wanted)
-                if not reason:
-                    self._report_unreadable(unreadable, strays)
-                    return path
-                strays.append(self._report(path, entry, reason))
+            picture = self._look(look)
+            if picture is not None:
+                return picture
             time.sleep(POLL_S)
-        self._report_unreadable(unreadable, strays)
-        raise self._nothing(shot_id, timeout_s, strays)
+        self._report_unreadable(look)
+        raise self._nothing(shot_id, timeout_s, look.strays)
 
-    def _entries(self) -> Iterator[tuple[Path, tuple[str, int, int]]]:
+    def _look(self, look: _Look) -> Path | None:
+        """Look once: report what does not belong, return the picture if it is there."""
+        picture: Path | None = None
+        for path, entry in self._arrivals(look):
+            try:
+                facts = self._inspect(path)
+            except (BadInput, OSError) as error:
+                look.unreadable[entry] = (path, str(error))  # it may still grow, and is then another entry
+                continue
+            reason = self._mismatch(facts, entry, look.wanted)
+            if not reason and picture is None:
+                picture = path
+                self._known.add(entry)
+            else:
+                look.strays.append(self._report(path, entry, reason or "a second picture of the same shot"))
+        return picture
+
+    def _entries(self) -> Iterator[tuple[Path, Entry]]:
         try:
             with os.scandir(self.folder) as entries:
                 for entry in entries:
@@ -211,18 +234,16 @@ class HotFolder:
                 todo="check the share or disk that it lies on",
             ) from error
 
-    def _arrivals(
-        self, mark: Mark, sizes: dict[str, tuple[str, int, int]]
-    ) -> Iterator[tuple[Path, tuple[str, int, int]]]:
+    def _arrivals(self, look: _Look) -> Iterator[tuple[Path, Entry]]:
         """Yield new files whose size did not change between two looks."""
         for path, entry in list(self._entries()):
-            if entry in mark.files or entry in self._reported:
+            if entry in look.wanted.mark.files or entry in self._known or entry in look.unreadable:
                 continue
-            if sizes.get(entry[0]) == entry and entry[1] > 0:
+            if look.sizes.get(entry[0]) == entry and entry[1] > 0:
                 yield path, entry
-            sizes[entry[0]] = entry
+            look.sizes[entry[0]] = entry
 
-    def _mismatch(self, facts: FrameFacts, entry: tuple[str, int, int], wanted: _Wanted) -> str:
+    def _mismatch(self, facts: FrameFacts, entry: Entry, wanted: _Wanted) -> str:
         if entry[2] * 1e-9 < wanted.mark.wall_s - CLOCK_SLACK_S:
             return "older than the trigger"
         if self.serial and facts.camera_serial and facts.camera_serial != self.serial:
@@ -236,22 +257,20 @@ class HotFolder:
             return f"exposed {facts.shutter_s:g} s, expected {wanted.shutter_s:g} s"
         return ""
 
-    def _report(self, path: Path, entry: tuple[str, int, int], reason: str) -> Stray:
-        self._reported.add(entry)
+    def _report(self, path: Path, entry: Entry, reason: str) -> Stray:
+        self._known.add(entry)
         stray = Stray(path, reason)
         if self.on_stray is not None:
             self.on_stray(stray)
         return stray
 
-    def _report_unreadable(
-        self, unreadable: dict[tuple[str, int, int], tuple[Path, str]], strays: list[Stray]
-    ) -> None:
-        for entry, (path, error) in unreadable.items():
+    def _report_unreadable(self, look: _Look) -> None:
+        for entry, (path, error) in look.unreadable.items():
             still_there = path.is_file() and path.stat().st_size == entry[1]
             if still_there:
-                suffix = path.suffix.lower()
-                reason = f"does not decode: {error}" if suffix in RAW_SUFFIXES else "not a RAW file"
-                strays.append(self._report(path, entry, reason))
+                is_raw = path.suffix.lower() in RAW_SUFFIXES
+                reason = f"does not decode: {error}" if is_raw else "not a RAW file"
+                look.strays.append(self._report(path, entry, reason))
 
     def _nothing(self, shot_id: str, timeout_s: float, strays: list[Stray]) -> Transient | DeviceLost:
         where = f"{self.folder}, shot {shot_id}"

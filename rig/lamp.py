@@ -1,7 +1,7 @@
 """The lamp controller: light and exposures over its serial protocol, dark whenever this program is gone.
 
-Each command is followed, in the same write, by the question for its error: no refusal stays silent. The
-controller's watchdog is armed before the light can be on; a heartbeat keeps it fed while we live.
+The controller's watchdog is armed before the light can be on; a heartbeat keeps it fed while we live. The
+serial line itself, questions and answers, is `rig.lamp_line`.
 """
 
 from __future__ import annotations
@@ -9,22 +9,16 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
-from decimal import Decimal
-from typing import TYPE_CHECKING, Any
-
-import serial
+from typing import TYPE_CHECKING
 
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
-from rig.serial_line import open_port
+from rig.lamp_line import LampLine, decimal
 from rig.stop_report import PartStop, StopOutcome
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-BAUD = 115_200
-
-BLOCK_S = 0.005
+LOCK_S = 0.005
 """How long one read of the port blocks."""
 
 REPLY_S = 1.0
@@ -47,13 +41,6 @@ OPEN_MARGIN_S = 0.1
 
 ID_CHARACTERS = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
 ID_LENGTH = 40
-
-_NO_ERROR, _EXPOSURE_RUNNING, _INTERLOCK, _WATCHDOG = 0, -284, -240, -241
-
-
-def decimal(value: float) -> str:
-    """Shortest decimal that reads back as the same number, never with an exponent."""
-    return format(Decimal(repr(float(value))), "f")
 
 
 class Lamp:
@@ -80,25 +67,22 @@ class Lamp:
 
     def __init__(self, port: str, *, mode: str = "BULB", level: float = 1.0, watchdog_s: float = 2.0) -> None:
         self.port, self.mode, self.level, self.watchdog_s = port, mode, level, watchdog_s
-        self._lock = threading.RLock()
-        self._buffer = b""
-        self._answers: deque[str] = deque()
-        self._unsure = False
         self._count = 0
         self._heart: threading.Thread | None = None
         self._heart_stop = threading.Event()
         self._fault: GonioError | None = None
         self._uptime_s = -math.inf
-        self._line = open_port(port, BAUD, read_timeout_s=BLOCK_S)
+        self._line = LampLine(port)
         try:
-            # Garbage of a killed predecessor ends here; whatever it left on goes off.
-            self._write("")
-            self.identity = self._identify()
-            self._drain_errors()
-            self.command("OUTP OFF")
+            self._line.command("OUTP OFF")  # whatever a predecessor left on
         except BaseException:
             self._line.close()
             raise
+
+    @property
+    def identity(self) -> str:
+        """Maker, model, serial number, firmware version."""
+        return self._line.identity
 
     def __enter__(self) -> Lamp:
         return self
@@ -116,51 +100,28 @@ class Lamp:
         Refused
             If a setting does not stick.
         """
-        with self._lock:
-            self.command("*RST")
+        with self._line.lock:
+            self._line.command("*RST")
             for header, value in (("SHUT:MODE", self.mode), ("SOUR:LEV", decimal(self.level))):
-                self.command(f"{header} {value}")
-                self._require_same(header, value)
+                self._line.set(header, value)
             self._count = self._shutter()[1]
             self._uptime_s = -math.inf
 
-    def query(self, line: str) -> str:
-        """Send a query and return its answer.
-
-        Raises
-        ------
-        DeviceLost
-            If no answer comes in time.
-        """
-        return self._exchange([line], 1)[0]
-
-    def command(self, line: str) -> None:
-        """Send a command and make sure that it was accepted.
-
-        Raises
-        ------
-        Refused, Transient, Unsafe
-            As the controller's error says.
-        DeviceLost
-            If no answer comes in time.
-        """
-        self._check(self._exchange([line, "SYST:ERR?"], 1)[0], line)
-
     def interlock_closed(self) -> bool:
         """Whether the interlock loop is closed; while it is open the light is forced off."""
-        return self.query("INTL?") == "1"
+        return self._line.query("INTL?") == "1"
 
     def temperature_deg_c(self) -> float:
         """Temperature of the lamp head, deg C."""
-        return self._number("MEAS:TEMP?")
+        return self._line.number("MEAS:TEMP?")
 
     def monitor(self) -> float:
         """Photodiode over the last lit exposure, 1 = nominal; NaN if there was none."""
-        return self._number("MEAS:MON?")
+        return self._line.number("MEAS:MON?")
 
     def is_on(self) -> bool:
         """Whether the continuous light is on."""
-        return self.query("OUTP?") == "1"
+        return self._line.query("OUTP?") == "1"
 
     def on(self) -> None:
         """Switch the continuous light on, the watchdog armed before, and read it back.
@@ -170,9 +131,9 @@ class Lamp:
         Unsafe
             If the interlock is open.
         """
-        with self._lock:
+        with self._line.lock:
             self._arm()
-            self.command("OUTP ON")
+            self._line.command("OUTP ON")
             if not self.is_on():
                 self._require_closed_interlock()
                 raise DeviceLost(
@@ -187,13 +148,13 @@ class Lamp:
         Unsafe
             If the light stays on.
         """
-        with self._lock:
-            self.command("OUTP OFF")
+        with self._line.lock:
+            self._line.command("OUTP OFF")
             if self.is_on():
                 raise Unsafe("the light stays on", where=self.port, todo="cut its power by hand")
             self._heart_stop.set()
             if self._heart is not None:
-                self.command("SYST:WDOG 0")
+                self._line.command("SYST:WDOG 0")
                 self._heart = None
 
     def halt(self) -> PartStop:
@@ -201,19 +162,19 @@ class Lamp:
 
         If another thread is stuck in talk with the controller, OUTP OFF is written all the same.
         """
-        got = self._lock.acquire(timeout=LOCK_S)
+        got = self._line.lock.acquire(timeout=LOCK_S)
         try:
-            self._write("OUTP OFF")
+            self._line.send("OUTP OFF")
             if not got:
                 return PartStop("lamp", StopOutcome.UNKNOWN, "off was sent, the answer is blocked")
             # Two lines, one question each: what the light does counts, not whether a command was liked.
-            on = self._exchange(["SHUT:ABOR", "OUTP OFF", "OUTP?"], 1)[0]
-            self._drain_errors()
+            on = self._line.exchange(["SHUT:ABOR", "OUTP OFF", "OUTP?"], 1)[0]
+            self._line.drain_errors()
         except GonioError as error:
             return PartStop("lamp", StopOutcome.UNKNOWN, error.what)
         finally:
             if got:
-                self._lock.release()
+                self._line.lock.release()
         if on == "0":
             return PartStop("lamp", StopOutcome.CONFIRMED, "light off")
         return PartStop("lamp", StopOutcome.REFUSED, f"OUTP? says {on}")
@@ -228,8 +189,7 @@ class Lamp:
         except GonioError:
             self.halt()  # the watchdog, still armed, finishes what we could not
         finally:
-            with self._lock:
-                self._line.close()
+            self._line.close()
 
     def shutter_s(self, exposure_s: float) -> float:
         """How long the shutter is open for an exposure: longer than the light only in LAMP mode."""
@@ -268,19 +228,19 @@ class Lamp:
         self._prepare(exposure_s, dark=dark)
         before = self._count
         verb = "SHUT:DARK" if dark else "SHUT:EXP"
-        with self._lock:
-            error, light, state = self._exchange(
+        with self._line.lock:
+            error, light, state = self._line.exchange(
                 [f"SHUT:ID {shot_id}", f"{verb} {decimal(exposure_s)}", "SYST:ERR?", "OUTP?", "SHUT?"], 3
             )
-            self._check(error, verb)
+            self._line.check(error, verb)
         if light != "1" and not dark and self.mode != "LAMP":
-            self.command("SHUT:ABOR")
+            self._line.command("SHUT:ABOR")
             raise Transient("the light went out before it", where=f"shot {shot_id}", todo="make it again")
         self._wait(state, before, shot_id, self.shutter_s(exposure_s))
 
     def _prepare(self, exposure_s: float, *, dark: bool) -> None:
         if self.mode == "LAMP":
-            self.command(f"SHUT:OPEN {decimal(self.shutter_s(exposure_s))}")
+            self._line.command(f"SHUT:OPEN {decimal(self.shutter_s(exposure_s))}")
         if dark:
             return
         if self.mode == "LAMP":
@@ -312,7 +272,7 @@ class Lamp:
 
     def _explain_failure(self, before: int, count: int, echo: str, shot_id: str) -> None:
         self._require_closed_interlock()
-        self._check(self.query("SYST:ERR?"), "expose")
+        self._line.check(self._line.query("SYST:ERR?"), "expose")
         if count <= before:
             raise Transient("the exposure was cut short", where=f"shot {shot_id}", todo="make it again")
         raise Refused(
@@ -324,9 +284,7 @@ class Lamp:
     def _arm(self) -> None:
         """Watchdog on and read back, heartbeat running."""
         self._raise_fault()
-        value = decimal(self.watchdog_s)
-        self.command(f"SYST:WDOG {value}")
-        self._require_same("SYST:WDOG", value)
+        self._line.set("SYST:WDOG", decimal(self.watchdog_s))
         if self._heart is None:
             self._heart_stop = threading.Event()
             self._heart = threading.Thread(
@@ -338,10 +296,10 @@ class Lamp:
         missed = 0
         while not stop.wait(self.watchdog_s / HEARTBEATS_PER_WATCHDOG):
             try:
-                with self._lock:
+                with self._line.lock:
                     if stop.is_set():
                         return
-                    uptime_s = self._number("SYST:UPT?")
+                    uptime_s = self._line.number("SYST:UPT?")
             except GonioError as error:
                 missed += 1
                 if missed > 1 or not self._line.is_open:
@@ -360,132 +318,15 @@ class Lamp:
         if self._fault is not None:
             raise self._fault
 
-    def _identify(self) -> str:
-        return self._exchange(["*IDN?"], 1, first_matching="gonio,lamp,")[0]
-
     def _shutter(self) -> tuple[str, int, str]:
-        return self._parse_shutter(self.query("SHUT?"))
+        return self._parse_shutter(self._line.query("SHUT?"))
 
     def _parse_shutter(self, answer: str) -> tuple[str, int, str]:
         parts = answer.split(",", 2)
         if len(parts) != 3 or parts[0] not in {"IDLE", "BUSY"} or not parts[1].isdecimal():
-            self._unsure = True
             raise DeviceLost(f"SHUT? answers {answer!r}", where=self.port, todo="update its firmware")
         return parts[0], int(parts[1]), parts[2]
-
-    def _require_same(self, header: str, value: str) -> None:
-        held = self.query(f"{header}?")
-        same = held == value
-        if not same:
-            try:
-                same = math.isclose(float(held), float(value), rel_tol=1e-3, abs_tol=1e-6)
-            except ValueError:
-                same = False
-        if not same:
-            raise Refused(
-                f"{header} was set to {value} but reads {held}", where=self.port, todo="update its firmware"
-            )
 
     def _require_closed_interlock(self) -> None:
         if not self.interlock_closed():
             raise Unsafe("the interlock is open", where=self.port, todo="close the dark room, then run again")
-
-    def _number(self, query: str) -> float:
-        answer = self.query(query)
-        try:
-            return float(answer)
-        except ValueError:
-            self._unsure = True
-            raise DeviceLost(
-                f"{query} answers {answer!r}", where=self.port, todo="check the line, then run again"
-            ) from None
-
-    def _drain_errors(self) -> None:
-        for _ in range(17):  # the queue holds 16
-            if self.query("SYST:ERR?").startswith("0,"):
-                return
-
-    def _check(self, answer: str, line: str) -> None:
-        number_text, _, text = answer.partition(",")
-        try:
-            number = int(number_text)
-        except ValueError:
-            self._unsure = True
-            raise DeviceLost(
-                f"SYST:ERR? answers {answer!r}", where=self.port, todo="check the line, then run again"
-            ) from None
-        if number == _NO_ERROR:
-            return
-        self._drain_errors()
-        reason = text.strip('"').lower() or f"error {number}"
-        if number == _INTERLOCK:
-            raise Unsafe("the interlock is open", where=self.port, todo="close the dark room, then run again")
-        if number == _WATCHDOG:
-            raise Transient(
-                "the watchdog put the light out, because this computer was silent for too long",
-                where=self.port,
-                todo="make the exposure again; if it recurs, raise watchdog_s in rig.toml",
-            )
-        if number == _EXPOSURE_RUNNING:
-            raise Transient("an exposure is still running", where=self.port, todo="wait for its end")
-        raise Refused(f"{line}: {reason}", where=self.port, todo="compare rig.toml with the controller")
-
-    def _exchange(self, lines: list[str], answers: int, *, first_matching: str = "") -> list[str]:
-        """Send lines, wait for so many answers; answers to questions given up earlier never count."""
-        with self._lock:
-            if self._unsure and not first_matching:
-                self._resynchronise()
-            if not first_matching:
-                self._answers.clear()
-            self._write("\n".join(lines))
-            deadline = time.monotonic() + REPLY_S
-            try:
-                if first_matching:
-                    return [self._answer_starting(first_matching, deadline)]
-                return [self._answer(deadline) for _ in range(answers)]
-            except DeviceLost:
-                self._unsure = True
-                raise
-
-    def _resynchronise(self) -> None:
-        # The line keeps order: when the identity comes, everything asked before it has been answered.
-        self._identify()
-        self._answers.clear()
-        self._unsure = False
-
-    def _answer_starting(self, start: str, deadline: float) -> str:
-        while True:
-            answer = self._answer(deadline)
-            if answer.startswith(start):
-                return answer
-
-    def _answer(self, deadline: float) -> str:
-        while not self._answers:
-            if time.monotonic() > deadline:
-                raise DeviceLost(
-                    f"no answer within {REPLY_S:g} s",
-                    where=self.port,
-                    todo="check that this is the lamp's port, its cable and its power",
-                )
-            self._read_more()
-        return self._answers.popleft()
-
-    def _read_more(self) -> None:
-        try:
-            data = self._line.read(max(1, self._line.in_waiting))
-        except (serial.SerialException, OSError, TypeError, AttributeError) as error:
-            raise self._gone(error) from error
-        *lines, self._buffer = (self._buffer + data).replace(b"\r", b"").split(b"\n")
-        self._answers.extend(line.decode("ascii", "replace").strip() for line in lines)
-
-    def _write(self, line: str) -> None:
-        data: Any = (line + "\n").encode("ascii")
-        try:
-            self._line.write(data)
-        except (serial.SerialException, OSError, TypeError, AttributeError) as error:
-            raise self._gone(error) from error
-
-    def _gone(self, error: Exception) -> DeviceLost:
-        return DeviceLost(
-            f"the lamp's port is gone ({error})", where=self.port, todo="plug it in and run 'gonio rig check'"
-        )

@@ -1,4 +1,4 @@
-"""Benches for the hardware's drivers: emulated servos and lamp behind a pseudo-terminal, with faults on demand."""
+"""Benches for the drivers: emulated servos and lamp behind a pseudo-terminal, with faults on demand."""
 
 from __future__ import annotations
 

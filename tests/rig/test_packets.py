@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 import threading
 import time
@@ -24,11 +25,13 @@ VELOCITY = CONTROL_TABLE["profile_velocity"]
 
 @pytest.fixture
 def bench(servo_bench: Callable[..., Any]) -> Any:
+    """Return three servos on a line."""
     return servo_bench()
 
 
 @pytest.fixture
 def wire(bench: Any) -> Iterator[Wire]:
+    """Return our end of the line."""
     wire = Wire(bench.port, timeout_s=0.1)
     yield wire
     wire.close()
@@ -38,7 +41,7 @@ def test_registers_do_not_overlap_and_defaults_are_in_range() -> None:
     """Catches a typo in an address, a size or a default, for every model."""
     for model in MODELS:
         registers = sorted(control_table(model).values(), key=lambda register: register.address)
-        assert all(a.end <= b.address for a, b in zip(registers, registers[1:], strict=False))
+        assert all(a.end <= b.address for a, b in itertools.pairwise(registers))
         assert all(r.minimum <= r.default <= r.maximum for r in registers)
 
 
@@ -96,10 +99,11 @@ def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float)
         time.sleep(delay_s)
         return reply
 
-    with ServoBus(bench.port, retries=0) as once, pytest.raises(DeviceLost):
+    with ServoBus(bench.port, retries=0) as once:
         once.write(1, "profile_velocity", 77)
         bench.says = late_once
-        once.read(1, "present_position")
+        with pytest.raises(DeviceLost):
+            once.read(1, "present_position")
     with ServoBus(bench.port, retries=3) as bus:
         bench.says = late_once
         assert bus.read(1, "profile_velocity") == 77
@@ -164,7 +168,7 @@ def test_the_port_is_ours_alone(bench: Any, wire: Wire) -> None:
 
 def test_ports_that_cannot_be_opened_say_why() -> None:
     """Catches a traceback, or a message without a next step, for a missing port and an impossible speed."""
-    with pytest.raises(DeviceLost, match="no such port.*ports? (at hand|is at hand)"):
+    with pytest.raises(DeviceLost, match=r"no such port.*at hand"):
         Wire("/dev/no-such-port")
     with pytest.raises(BadInput, match="57600"):
         Wire("/dev/no-such-port", baud=1234)
@@ -215,7 +219,7 @@ def test_a_refusal_names_servo_and_register(bench: Any) -> None:
 
 
 def test_a_servo_that_stopped_answering_is_named(bench: Any) -> None:
-    """Catches a loss without a name: which of five servos has no power?"""
+    """Catches a loss without a name, when nobody knows which of five servos has no power."""
     with ServoBus(bench.port, names={9: "turntable"}, timeout_s=0.02) as bus:
         with pytest.raises(DeviceLost, match=r"servo 9 \(turntable\)"):
             bus.sync_read((1, 9), ("present_position",))

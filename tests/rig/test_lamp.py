@@ -1,0 +1,289 @@
+"""The lamp's driver against its firmware: dark whenever it should be, proved by lines on the wire."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rig.lamp_line
+from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
+from rig.lamp import Lamp
+from rig.lamp_line import decimal
+from rig.stop_report import StopOutcome
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+
+@pytest.fixture
+def bench(lamp_bench: Callable[..., Any]) -> Any:
+    """Return a controller whose exposures run ten times faster than the clock."""
+    return lamp_bench(speed=10.0)
+
+
+@pytest.fixture
+def lamp(bench: Any) -> Iterator[Lamp]:
+    """Return a lamp that has been set up."""
+    with Lamp(bench.port, watchdog_s=0.4) as lamp:
+        lamp.set_up()
+        yield lamp
+
+
+@given(st.floats(1e-5, 600.0))
+def test_numbers_reach_the_controller_exactly(value: float) -> None:
+    """Catches an exposure that is rounded, or written with an exponent that the protocol does not know."""
+    assert float(decimal(value)) == value
+    assert set(decimal(value)) <= set("0123456789.")
+
+
+def test_opening_puts_out_what_a_predecessor_left_on(bench: Any) -> None:
+    """Catches a light that a killed program left on and nobody switches off."""
+    first = Lamp(bench.port)
+    first.on()
+    first._heart_stop.set()
+    first._line.close()
+    assert bench.light
+    with Lamp(bench.port):
+        assert not bench.light
+
+
+def test_the_watchdog_is_armed_before_the_light(bench: Any, lamp: Lamp) -> None:
+    """Catches light without a watchdog: a killed program would leave it on."""
+    lamp.on()
+    lines = bench.lines
+    assert lines.index("SYST:WDOG 0.4") < lines.index("OUTP ON")
+    assert lines.index("SYST:WDOG?") < lines.index("OUTP ON")
+    assert bench.light
+
+
+def test_the_heart_beats_faster_than_a_third_of_the_watchdog(bench: Any, lamp: Lamp) -> None:
+    """Catches a light that goes out while the program waits for something else."""
+    lamp.on()
+    began = time.monotonic()
+    time.sleep(1.0)
+    beats = [t for t, _ in bench.heard if t >= began]
+    assert max(b - a for a, b in zip([began, *beats], beats, strict=False)) < 0.4 / 3 * 1.5
+    assert bench.light
+
+
+def test_a_killed_program_leaves_the_dark(bench: Any, lamp: Lamp) -> None:
+    """Catches a watchdog that does not bite when the heart stops."""
+    lamp.on()
+    lamp._heart_stop.set()
+    time.sleep(0.8)
+    assert not bench.light
+
+
+def test_off_disarms_only_after_the_light_is_off(bench: Any, lamp: Lamp) -> None:
+    """Catches a watchdog disarmed while the light is still on."""
+    lamp.on()
+    lamp.off()
+    lines = bench.lines
+    last_off = len(lines) - 1 - lines[::-1].index("OUTP OFF")
+    assert lines.index("SYST:WDOG 0") > last_off
+    assert "OUTP?" in lines[last_off:]
+    assert not bench.light
+
+
+def test_a_light_that_stays_on_is_unsafe(bench: Any, lamp: Lamp) -> None:
+    """Catches a switch that is believed without being read back."""
+    lamp.on()
+    bench.says = lambda request, reply: reply.replace(b"0\n", b"1\n") if b"OUTP?" in request else reply
+    with pytest.raises(Unsafe, match="stays on"):
+        lamp.off()
+    assert "SYST:WDOG 0" not in bench.lines
+    assert lamp.halt().outcome is StopOutcome.REFUSED
+    bench.says = lambda _request, reply: reply
+
+
+@pytest.mark.parametrize("mode", ["BULB", "WIDTH", "LAMP"])
+def test_exposures_are_complete_and_named(lamp_bench: Callable[..., Any], mode: str) -> None:
+    """Catches an exposure that returns early, is lit when it should be dark, or keeps the last name."""
+    bench = lamp_bench(speed=10.0)
+    done: list[Any] = []
+    bench.firmware._on_exposure = lambda exposure, _now: done.append(exposure)
+    with Lamp(bench.port, mode=mode, level=0.5) as lamp:
+        lamp.set_up()
+        for index, dark in enumerate([False, True, False]):
+            lamp.expose(0.5, f"shot-{index}", dark=dark)
+            assert done[-1].shot_id == f"shot-{index}"
+            assert done[-1].lit is not dark
+            assert done[-1].exposure_s == 0.5
+            assert done[-1].shutter_open_s == pytest.approx(lamp.shutter_s(0.5))
+            assert done[-1].level == 0.5
+        assert len(done) == 3
+    assert not bench.light
+
+
+def test_in_lamp_mode_the_light_is_on_only_in_exposures(lamp_bench: Callable[..., Any]) -> None:
+    """Catches a lamp left burning between exposures whose light is the shutter."""
+    bench = lamp_bench(speed=10.0)
+    with Lamp(bench.port, mode="LAMP") as lamp:
+        lamp.set_up()
+        lamp.expose(0.5, "a")
+        assert not bench.light
+        assert "OUTP ON" not in bench.lines
+        assert bench.lines.index("SYST:WDOG 2.0") < bench.lines.index("SHUT:EXP 0.5")
+
+
+def test_another_shots_name_is_refused(bench: Any, lamp: Lamp) -> None:
+    """Catches a controller that somebody else commands: the picture would be filed under the wrong name."""
+    bench.says = lambda _request, reply: reply.replace(b",mine", b",yours")
+    with pytest.raises(Refused, match="'yours'"):
+        lamp.expose(0.01, "mine")
+
+
+def test_an_open_interlock_is_unsafe(bench: Any, lamp: Lamp) -> None:
+    """Catches a run that goes on, in the dark, with the dark room open."""
+    bench.firmware.set_interlock(False, time.monotonic())
+    with pytest.raises(Unsafe, match="interlock"):
+        lamp.expose(0.01, "a")
+    with pytest.raises(Unsafe, match="interlock"):
+        lamp.on()
+
+
+def test_an_interlock_opened_during_an_exposure_is_unsafe(lamp_bench: Callable[..., Any]) -> None:
+    """Catches a picture half lit that counts."""
+    bench = lamp_bench(speed=1.0)
+    with Lamp(bench.port) as lamp:
+        lamp.set_up()
+        threading.Timer(0.1, lambda: bench.firmware.set_interlock(False, time.monotonic())).start()
+        with pytest.raises(Unsafe, match="interlock"):
+            lamp.expose(5.0, "a")
+
+
+def test_a_tripped_watchdog_can_be_shot_again(bench: Any, lamp: Lamp) -> None:
+    """Catches a session that ends because the computer was busy for a moment."""
+    lamp.on()
+    lamp._heart_stop.set()
+    time.sleep(0.8)
+    lamp._heart = None
+    with pytest.raises(Transient):
+        lamp._line.command("OUTP ON")
+    lamp.expose(0.01, "a")
+    assert bench.light
+
+
+def test_halt_ends_an_exposure_within_a_tenth_of_a_second(lamp_bench: Callable[..., Any]) -> None:
+    """Catches a stop that waits for the exposure under way, or that never reaches the wire."""
+    bench = lamp_bench(speed=1.0)
+    with Lamp(bench.port) as lamp:
+        lamp.set_up()
+        caught: list[BaseException] = []
+
+        def shoot() -> None:
+            try:
+                lamp.expose(30.0, "long")
+            except GonioError as error:
+                caught.append(error)
+
+        shooter = threading.Thread(target=shoot)
+        shooter.start()
+        time.sleep(0.2)
+        asked = time.monotonic()
+        assert lamp.halt().outcome is StopOutcome.CONFIRMED
+        off = min(t for t, data in bench.heard if t >= asked and b"OUTP OFF\n" in data)
+        assert off - asked < 0.1
+        shooter.join(2.0)
+        assert isinstance(caught[0], Transient)
+    assert not bench.light
+
+
+def test_halt_speaks_over_a_stuck_talker(bench: Any, lamp: Lamp) -> None:
+    """Catches a stop that waits for ever behind a thread that waits for an answer."""
+    lamp.on()
+    entered, leave = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with lamp._line.lock:
+            entered.set()
+            leave.wait(5.0)
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    entered.wait()
+    report = lamp.halt()
+    time.sleep(0.05)
+    assert report.outcome is StopOutcome.UNKNOWN
+    assert not bench.light
+    leave.set()
+    holder.join()
+
+
+def test_a_late_answer_never_answers_the_next_question(
+    bench: Any, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a temperature that comes late and is taken for the photodiode."""
+    monkeypatch.setattr(rig.lamp_line, "REPLY_S", 0.2)
+
+    def late_once(_request: bytes, reply: bytes) -> bytes:
+        bench.says = lambda _request, reply: reply
+        time.sleep(0.3)
+        return reply
+
+    bench.says = late_once
+    with pytest.raises(DeviceLost, match="no answer"):
+        lamp.temperature_deg_c()
+    assert math.isnan(lamp.monitor())
+
+
+def test_an_unplugged_lamp_is_lost(bench: Any, lamp: Lamp) -> None:
+    """Catches a cable pulled out that hangs, or passes as dark."""
+    lamp.on()
+    bench.unplug()
+    with pytest.raises(DeviceLost, match="is gone"):
+        lamp.is_on()
+    assert lamp.halt().outcome is StopOutcome.UNKNOWN
+
+
+def test_something_else_on_the_port_is_not_a_lamp(
+    servo_bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches exchanged ports that hang, or a message that does not name the port."""
+    monkeypatch.setattr(rig.lamp_line, "REPLY_S", 0.2)
+    with pytest.raises(DeviceLost, match="lamp's port"):
+        Lamp(servo_bench().port)
+
+
+def test_a_restarted_controller_is_noticed(bench: Any, lamp: Lamp) -> None:
+    """Catches a brown-out: the controller forgot level and mode, and the frames would be wrong."""
+    lamp.on()
+    lamp._uptime_s = math.inf
+    time.sleep(0.3)
+    with pytest.raises(DeviceLost, match="restarted"):
+        lamp.expose(0.01, "a")
+
+
+@pytest.mark.parametrize("name", ["", "a b", "x" * 41, "a\nOUTP ON", "ä"])
+def test_names_that_the_line_cannot_carry(lamp: Lamp, name: str) -> None:
+    """Catches a name that smuggles in a second line or is cut."""
+    with pytest.raises(BadInput, match="shot name"):
+        lamp.expose(0.01, name)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, -1.0, math.nan, 601.0])
+def test_impossible_exposures(lamp: Lamp, exposure_s: float) -> None:
+    """Catches an exposure that the controller would refuse, or never end."""
+    with pytest.raises(BadInput, match="exposure"):
+        lamp.expose(exposure_s, "a")
+
+
+def test_a_setting_that_does_not_stick_is_refused(bench: Any) -> None:
+    """Catches a level that the controller took differently."""
+    with Lamp(bench.port, level=0.3) as lamp:
+        bench.says = lambda request, reply: b"0.5\n" if b"LEV?" in request else reply
+        with pytest.raises(Refused, match=r"SOUR:LEV was set to 0.3 but reads 0.5"):
+            lamp.set_up()
+
+
+def test_an_unknown_command_is_refused_not_ignored(lamp: Lamp) -> None:
+    """Catches firmware too old for a command: its error would stay in the queue."""
+    with pytest.raises(Refused, match="undefined header"):
+        lamp._line.command("SHUT:FOO 1")
+    lamp._line.command("OUTP OFF")
