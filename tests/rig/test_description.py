@@ -342,3 +342,24 @@ def test_ticks_by_hand_and_in_arrays() -> None:
     for bad in (float("nan"), np.array([0.0, np.inf])):
         with pytest.raises(BadInput, match="joint j"):
             rad_to_ticks(joint, bad)  # type: ignore[arg-type]
+
+
+def test_the_documented_rig_file_is_one(tmp_path: Path) -> None:
+    """Catch documentation that has fallen behind: it must load, name every field, show the defaults."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
+    example = page.split("```toml\n")[1].split("```")[0]
+    rig = load_rig(write(tmp_path, example))
+    written = tomllib.loads(example)
+    tables = {key: value for key, value in written.items() if isinstance(value, dict)}
+    assert set(written) == set(Rig.model_fields)
+    shown = [(getattr(rig, key), set(table)) for key, table in tables.items() if key != "stations"]
+    shown += [(rig.joints[0], set(written["joints"][0])), (rig.stations["white"], {"angle_deg", "kind"})]
+    for part, names in shown:
+        fields = type(part).model_fields
+        assert names == set(fields)
+        for name, field in fields.items():
+            if (
+                name not in {"servos", "lamp", "serial", "frames", "sample", "station"}
+                and not field.is_required()
+            ):
+                assert getattr(part, name) == field.default, name
