@@ -91,10 +91,13 @@ def _measured_level(stack: Stack, row: int, col: int, black_dn: float) -> float 
 
 
 def _spike(samples: NDArray[Any]) -> tuple[float, float]:
-    """Most frequent level among the brightest samples, and the robust spread around it."""
+    """Most frequent level among the brightest samples, and the robust spread above it.
+
+    Samples below the level may be ordinary ones; those above can only be clipped ones with noise.
+    """
     values, numbers = np.unique(np.rint(samples), return_counts=True)
     level = float(values[np.argmax(numbers)])
-    return level, 1.4826 * float(np.median(np.abs(samples - level)))
+    return level, 1.4826 * float(np.median(samples[samples >= level] - level))
 
 
 class Ramp:

@@ -49,7 +49,7 @@ _SAMPLE_PIXELS = 150_000
 _ITERATIONS = 2
 
 SUSPECT_ERROR = 0.02
-"""How much too low a sample beside a clipped one may read (blooming, crosstalk); 1.2 to 2.8 % on a CCD camera."""
+"""How much too low a sample beside a clipped one reads (blooming, crosstalk): 1.2 to 2.8 % on one CCD."""
 
 _INCONSISTENT_P = 1e-6
 

@@ -1,0 +1,291 @@
+"""RAW frames: the short cut and LibRaw must tell the same, and damage must be named in one line."""
+
+from __future__ import annotations
+
+import json
+import time
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rawpy
+import tifffile
+
+from capture import tiff_tags
+from capture.raw import inspect_frame, read_raw
+from rig.errors import BadInput
+from simulator.dng import DngMeta, write_dng
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+CFA_TAGS = [(33421, 3, 2, (2, 2), True), (50706, 1, 4, b"\1\4\0\0", True)]
+PATTERNS = {"RGGB": (0, 1, 1, 2), "GBRG": (1, 2, 0, 1), "BGGR": (2, 1, 1, 0), "GRBG": (1, 0, 2, 1)}
+
+
+def mosaic(shape: tuple[int, int] = (96, 128), seed: int = 0) -> NDArray[np.uint16]:
+    """Return random counts."""
+    return np.random.default_rng(seed).integers(0, 65536, shape).astype(np.uint16)
+
+
+def cfa_file(
+    path: Path, counts: NDArray[Any], *, pattern: str = "RGGB", extra: tuple[Any, ...] = (), **options: Any
+) -> Path:
+    """Write a minimal CFA DNG with more tags."""
+    tags = [*CFA_TAGS, (33422, 1, 4, bytes(PATTERNS[pattern]), True), *extra]
+    tifffile.imwrite(path, counts, photometric=32803, metadata=None, extratags=tags, **options)
+    return path
+
+
+def twin_file(path: Path, counts: NDArray[np.uint16], **changes: Any) -> Path:
+    """Write a frame as the twin does."""
+    description = {
+        "gonio": 1,
+        "shot_id": "p3-a",
+        "exposure_s": "0.0123",
+        "lit": True,
+        "camera_serial": "GONIO-1",
+    }
+    meta = DngMeta(
+        shutter_s=Fraction(1, 50),
+        black_dn=(512, 516, 508, 520),
+        white_dn=15498,
+        serial="GONIO-1",
+        iso=200,
+        description={**description, **changes},
+    )
+    write_dng(path, counts, meta)
+    return path
+
+
+def through_libraw(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Read a file without the short cut."""
+    with monkeypatch.context() as patch:
+        patch.setattr(tiff_tags, "_is_plain_mosaic", lambda *_: False)
+        return read_raw(path)
+
+
+@pytest.mark.parametrize("shape", [(96, 128), (101, 151), (22, 23)])
+def test_short_cut_equals_libraw_on_our_own_file(
+    tmp_path: Path, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Would catch a short cut that reads other counts, colours or black levels than LibRaw."""
+    counts = mosaic(shape)
+    path = twin_file(tmp_path / "a.dng", counts)
+    fast, slow = read_raw(path), through_libraw(path, monkeypatch)
+    with rawpy.imread(str(path)) as raw:
+        assert np.array_equal(fast.counts, raw.raw_image_visible)
+    assert np.array_equal(fast.counts, counts)
+    assert np.array_equal(slow.counts, counts)
+    assert fast.cfa.tolist() == slow.cfa.tolist() == [[0, 1], [1, 2]]
+    assert fast.black_dn.tolist() == slow.black_dn.tolist() == [[512, 516], [508, 520]]
+    assert fast.white_dn == slow.white_dn == 15498
+    assert fast.info == slow.info
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_black_follows_the_position_for_every_bayer_phase(
+    tmp_path: Path, pattern: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Would catch LibRaw's colour-indexed black levels used as positions (wrong where the greens differ)."""
+    black = ((50713, 3, 2, (2, 2), True), (50714, 4, 4, (512, 513, 514, 515), True))
+    path = cfa_file(tmp_path / "a.dng", mosaic(), pattern=pattern, extra=black)
+    for frame in (read_raw(path), through_libraw(path, monkeypatch)):
+        assert frame.black_dn.tolist() == [[512, 513], [514, 515]]
+        assert tuple(frame.cfa.ravel()) == PATTERNS[pattern]
+
+
+def test_identity_of_our_own_file(tmp_path: Path) -> None:
+    """Would catch the shutter's time taken for the lamp's, or the shot's ID lost."""
+    info = inspect_frame(twin_file(tmp_path / "a.dng", mosaic()))
+    assert info.exposure_s == 0.0123
+    assert info.shutter_s == 0.02
+    assert (info.shot_id, info.camera_serial, info.lit, info.iso) == ("p3-a", "GONIO-1", True, 200)
+    assert (info.width_px, info.height_px) == (128, 96)
+
+
+def test_inspection_of_our_own_file_is_quick(tmp_path: Path) -> None:
+    """Would catch LibRaw, or anything slower, on the path that every shot waits for (target 3 ms)."""
+    path = twin_file(tmp_path / "a.dng", mosaic())
+    inspect_frame(path)
+    times = []
+    for _ in range(20):
+        start = time.perf_counter()
+        inspect_frame(path)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 3e-3
+
+
+@pytest.mark.parametrize("stated", ["-1", "x", "nan", "1/0", "[]"])
+def test_damaged_exposure_is_refused(tmp_path: Path, stated: str) -> None:
+    """Would catch an exposure that is no time being used, or a traceback."""
+    path = twin_file(tmp_path / "a.dng", mosaic(), exposure_s=stated)
+    with pytest.raises(BadInput, match=r"a\.dng.*exposure_s"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("left_bytes", [0, 3, 10, 200, 700, 12_000, -2])
+def test_truncated_file_is_named_in_one_line(tmp_path: Path, left_bytes: int) -> None:
+    """Would catch a frame that was still being copied passing as a dark one, or a traceback."""
+    path = twin_file(tmp_path / "half.dng", mosaic())
+    path.write_bytes(path.read_bytes()[:left_bytes])
+    with pytest.raises(BadInput, match=r"half\.dng") as error:
+        inspect_frame(path)
+    assert "\n" not in str(error.value)
+    assert error.value.todo
+
+
+def test_what_is_no_raw_file_is_refused(tmp_path: Path) -> None:
+    """Would catch a text, a folder, a colour picture or a missing file ending in a traceback."""
+    text = tmp_path / "notes.txt"
+    text.write_text("not a picture at all, but long enough to be one" * 20)
+    colour = tmp_path / "colour.tif"
+    tifffile.imwrite(colour, np.zeros((32, 32, 3), np.uint8), photometric="rgb")
+    for path in (text, colour, tmp_path, tmp_path / "absent.nef"):
+        with pytest.raises(BadInput, match=path.name):
+            read_raw(path)
+
+
+def test_header_that_announces_a_giant_takes_no_memory(tmp_path: Path) -> None:
+    """Would catch memory taken for a size that a damaged header invents."""
+    path = twin_file(tmp_path / "a.dng", mosaic())
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as tiff:
+        offsets = [tiff.pages.first.tags[code].valueoffset for code in (256, 257)]
+    for offset in offsets:
+        data[offset : offset + 4] = (60_000).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(BadInput, match="60000 x 60000"):
+        read_raw(path)
+
+
+def test_odd_margins_keep_counts_and_colours_together(tmp_path: Path) -> None:
+    """Would catch the pattern of the whole sensor used for a visible area that starts elsewhere."""
+    counts = mosaic((100, 140))
+    area = ((50829, 3, 4, (5, 7, 96, 135), True),)
+    frame = read_raw(cfa_file(tmp_path / "a.dng", counts, extra=area))
+    rows, cols = (index[0] for index in np.nonzero(counts == frame.counts[0, 0]))
+    full = np.array(PATTERNS["RGGB"]).reshape(2, 2)
+    # The pattern starts at the active area's corner (DNG 1.7, CFAPattern), here (5, 7).
+    expected = [[full[(rows - 5 + i) % 2, (cols - 7 + j) % 2] for j in (0, 1)] for i in (0, 1)]
+    assert frame.cfa.tolist() == expected
+    height, width = frame.counts.shape
+    assert np.array_equal(frame.counts, counts[rows : rows + height, cols : cols + width])
+
+
+def test_linearisation_table_goes_through_libraw(tmp_path: Path) -> None:
+    """Would catch codes taken for counts where the file says that they are not linear."""
+    counts = (mosaic() % 256).astype(np.uint16)
+    table = np.arange(256, dtype=np.uint16) * 3
+    path = cfa_file(tmp_path / "a.dng", counts, extra=((50712, 3, 256, tuple(table.tolist()), True),))
+    assert np.array_equal(read_raw(path).counts, table[counts])
+
+
+def test_lossless_jpeg_goes_through_libraw(tmp_path: Path) -> None:
+    """Would catch compressed DNGs read as if they were not, or refused."""
+    pytest.importorskip("imagecodecs")
+    counts = mosaic((64, 64))
+    arguments = {"lossless": True, "bitspersample": 16}
+    path = cfa_file(tmp_path / "a.dng", counts, compression="jpeg", compressionargs=arguments, tile=(64, 64))
+    assert np.array_equal(read_raw(path).counts, counts)
+
+
+def test_x_trans_is_refused_in_words(tmp_path: Path) -> None:
+    """Would catch a 6 x 6 mosaic read as if it were 2 x 2."""
+    cell = bytes(
+        [
+            1,
+            2,
+            1,
+            1,
+            0,
+            1,
+            0,
+            1,
+            0,
+            2,
+            1,
+            2,
+            1,
+            2,
+            1,
+            1,
+            0,
+            1,
+            1,
+            0,
+            1,
+            1,
+            2,
+            1,
+            2,
+            1,
+            2,
+            0,
+            1,
+            0,
+            1,
+            0,
+            1,
+            1,
+            2,
+            1,
+        ]
+    )
+    tags = [(33421, 3, 2, (6, 6), True), (33422, 1, 36, cell, True), (50706, 1, 4, b"\1\4\0\0", True)]
+    path = tmp_path / "x.dng"
+    tifffile.imwrite(path, mosaic((96, 96)), photometric=32803, metadata=None, extratags=tags)
+    with pytest.raises(BadInput, match=r"x\.dng"):
+        read_raw(path)
+
+
+def test_plain_tiff_is_a_mosaic_without_colours(tmp_path: Path) -> None:
+    """Would catch eight-bit TIFF darks refused, rescaled, or given an invented colour pattern."""
+    counts = (mosaic((33, 40)) % 256).astype(np.uint8)
+    path = tmp_path / "dark_250ms.tif"
+    tifffile.imwrite(path, counts, compression="packbits")
+    frame = read_raw(path)
+    assert np.array_equal(frame.counts, counts)
+    assert frame.counts.dtype == np.uint16
+    assert frame.channels == ("mono",)
+    assert frame.white_dn == 255
+    assert frame.exposure_s is None
+
+
+def test_exposure_is_the_simplest_fraction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch LibRaw's float32 times (1/125 s as 0.00800000038) entering ratios of exposures."""
+    for numerator, denominator in ((1, 125), (1, 8000), (13, 10), (30, 1), (2, 5)):
+        tag = ((33434, 5, 1, (numerator, denominator), True),)
+        path = cfa_file(tmp_path / "a.dng", mosaic(), extra=tag)
+        assert read_raw(path).exposure_s == numerator / denominator
+        with monkeypatch.context() as patch:
+            patch.setattr(tiff_tags, "read_mosaic", lambda _: (None, {}))
+            assert read_raw(path).exposure_s == numerator / denominator
+
+
+@pytest.mark.realdata
+def test_flea3_frames(shared_data: Path) -> None:
+    """Would catch a wrong pattern, depth or time of the real frames."""
+    frame = read_raw(shared_data / "flea3" / "disks" / "disks_450nm_0100ms.dng")
+    assert frame.counts.shape == (344, 408)
+    assert frame.cfa.tolist() == [[1, 2], [0, 1]]
+    assert frame.white_dn == 255
+    assert frame.exposure_s == 0.1
+    dark = read_raw(next((shared_data / "flea3" / "dark").glob("d1_dark_100ms*")))
+    assert dark.counts.shape == (344, 408)
+    assert dark.channels == ("mono",)
+
+
+def test_our_description_must_be_json(tmp_path: Path) -> None:
+    """Would catch a damaged description ending in a traceback, and a foreign one being believed."""
+    foreign = cfa_file(
+        tmp_path / "a.dng", mosaic(), description=json.dumps({"exposure_s": 3, "shot_id": "x"})
+    )
+    assert read_raw(foreign).shot_id is None
+    assert read_raw(foreign).exposure_s is None
+    damaged = cfa_file(tmp_path / "b.dng", mosaic(), description='{"gonio": 1, "exposure_s"')
+    with pytest.raises(BadInput, match=r"b\.dng.*ImageDescription"):
+        read_raw(damaged)
