@@ -320,10 +320,11 @@ def _names(problem: Problem) -> tuple[tuple[str, int | None], ...]:
 
 
 def _transform(jacobian: Array, covariance: Array) -> Array:
-    """J V J^T; what is undetermined stays infinite, what hangs on it is taken at its held value."""
+    """J V J^T; the variance of all that hangs on something undetermined is infinite."""
     undetermined = np.isinf(np.diag(covariance))
     result = jacobian @ np.where(np.isinf(covariance), 0.0, covariance) @ jacobian.T
-    result[undetermined, undetermined] = np.inf
+    hanging = np.any(jacobian[:, undetermined] != 0.0, axis=1)
+    result[hanging, hanging] = np.inf
     return np.asarray(result)
 
 
@@ -341,6 +342,7 @@ def _derived(
         gradient = reflectance * to_natural[names.index(("ks", c))]
         rows.append(gradient + ks * slope * to_natural[ior])
     gradients = np.array(rows)
+    # An ior held on its bound is taken as it is: ks F0 hardly depends on it.
     known = np.where(np.isinf(search), 0.0, search)
     variance = np.einsum("cp,pq,cq->c", gradients, known, gradients)
     return {"ks_F0": (values["ks"] * reflectance, np.sqrt(np.maximum(variance, 0.0)))}
@@ -357,10 +359,10 @@ def _message(
     notes = []
     for parameter, bound in zip(problem.shapes, on_bound, strict=True):
         value, spread = float(values[parameter.name]), float(u[parameter.name])
+        only = ": of ior and ks only ks_F0 is meaningful" if parameter.name == "ior" else ""
         if bound:
-            notes.append(f"{parameter.name} ended on the bound {value:.4g} and is not determined")
+            notes.append(f"{parameter.name} ended on the bound {value:.4g} and is not determined{only}")
         elif not spread / abs(parameter.coordinate.slope(value)) < UNDETERMINED:
-            only = ": use ks_F0" if parameter.name == "ior" else ""
             notes.append(f"{parameter.name} is not identifiable from these samples{only}")
     if "ks" in values and not np.any(values["ks"] > 0.0):
         notes.append("the samples show no specular lobe")

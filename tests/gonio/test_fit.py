@@ -1,0 +1,117 @@
+"""`gonio fit` as a person and as a script see it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from analysis.models import MODELS
+from analysis.samples import make_samples, write
+from gonio.cli import main
+from rig.angles import spherical_to_direction
+
+METRICS = {"rms_log", "l2_cos", "rms_cbrt", "median_relative"}
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Return a CSV file of a Cook-Torrance surface in two channels."""
+    theta_i, theta_o = (
+        a.ravel()
+        for a in np.meshgrid(np.radians([5.0, 30.0, 55.0, 75.0]), np.radians(np.arange(0.0, 80.0, 4.0)))
+    )
+    wi = spherical_to_direction(theta_i, np.full_like(theta_i, np.pi))
+    wo = spherical_to_direction(theta_o, np.linspace(-0.2, 0.2, theta_o.size))
+    model = MODELS["cook-torrance"](kd=[0.1, 0.3], ks=[0.6, 0.5], m=0.25, ior=1.5)
+    path = tmp_path / "paint.csv"
+    write(make_samples(wi, wo, model.evaluate(wi, wo), channels=["R", "G"]), path)
+    return path
+
+
+def test_json_is_one_object_and_nothing_else(table, capsys):
+    """Catches progress on standard output, a missing field, or values that are not plain numbers."""
+    assert main(["fit", str(table), "--model", "cook-torrance", "lambert", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    first, second = printed["fits"]
+    assert (first["model"], second["model"]) == ("cook-torrance", "lambert")
+    assert first["file"] == str(table)
+    assert set(first["metrics"]) >= METRICS
+    assert first["parameters"]["m"]["value"] == pytest.approx(0.25, rel=1e-4)
+    assert first["parameters"]["kd"]["value"] == pytest.approx([0.1, 0.3], rel=1e-4)
+    assert first["derived"]["ks_F0"]["value"] == pytest.approx([0.024, 0.02], rel=1e-3)
+    assert len(first["derived"]["ks_F0"]["u"]) == 2
+
+
+def test_all_models_ranked_for_people(table, capsys):
+    """Catches a model that is not tried, and a ranking that is none."""
+    assert main(["fit", str(table)]) == 0
+    out = capsys.readouterr().out
+    ranking = [line.split() for line in out.split("\n\n")[1].splitlines()[1:]]
+    assert {row[0] for row in ranking} == set(MODELS)
+    values = [float(row[1]) for row in ranking]
+    assert values == sorted(values)
+    assert ranking[0][0].startswith("cook-torrance")
+    assert "ks_F0 R" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--model", "ggx"], "choose from lambert, phong"),
+        (["--wavelength-nm", "550"], "its channels are R, G"),
+        (["--loss", "rmse"], "chi2, log, cbrt, l2"),
+        (["--loss", "chi2"], "needs uncertainties"),
+        (["--blank", "blank.xls"], "means nothing to gonio CSV"),
+        (["--max-theta-deg", "1"], "both angles"),
+    ],
+)
+def test_bad_options_say_what_there_is(table, capsys, arguments, complaint):
+    """Catches a traceback, or an error that does not name the file or the choice."""
+    assert main(["fit", str(table), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert complaint in captured.err
+    assert captured.out == ""
+
+
+def test_bad_files_say_where(tmp_path, capsys):
+    """Catches a NaN or a missing file that gives a traceback."""
+    path = tmp_path / "bad.csv"
+    path.write_text("theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,f_r\n0,0,0,0,nan\n")
+    assert main(["fit", str(path)]) == 2
+    assert "bad.csv: line 2, column f_r" in capsys.readouterr().err
+    assert main(["fit", str(tmp_path / "nowhere.csv")]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_models_before_files(table, capsys):
+    """Catches a file that is silently taken for a model's name."""
+    assert main(["fit", str(table), "--model", "lambert", str(table)]) == 2
+    assert "write the files before --model" in capsys.readouterr().err
+
+
+@pytest.mark.realdata
+def test_garnet_red_at_550_nm(shared_data, capsys):
+    """Catches a fit of the real paint worse than what Cook-Torrance can do."""
+    path = shared_data / "cornell" / "garnet_red.brdf"
+    arguments = ["fit", str(path), "--wavelength-nm", "550", "--model", "cook-torrance", "--json"]
+    assert main(arguments) == 0
+    (result,) = json.loads(capsys.readouterr().out)["fits"]
+    assert result["count"] == 1439
+    assert result["metrics"]["rms_log"] <= 0.0105
+
+
+@pytest.mark.realdata
+def test_rt300s_with_its_blank(shared_data, capsys):
+    """Catches a blank that is not passed on, and shadowed readings that are fitted."""
+    raw = shared_data / "rt300s" / "raw"
+    sample = str(raw / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
+    blank = str(raw / "blank_v2o0_20250911.xls")
+    assert main(["fit", sample, "--blank", blank, "--model", "cook-torrance", "--json"]) == 0
+    (result,) = json.loads(capsys.readouterr().out)["fits"]
+    assert result["count"] == 2508 - 160
+    assert result["metrics"]["rms_log"] < 0.0085
+    assert main(["fit", sample, "--model", "cook-torrance", "--json"]) == 0
+    (raw_result,) = json.loads(capsys.readouterr().out)["fits"]
+    assert raw_result["metrics"]["rms_log"] != result["metrics"]["rms_log"]
