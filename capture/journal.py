@@ -1,0 +1,470 @@
+"""A session's journal: one SQLite file, the single truth of what was planned, shot, verified, and what happened.
+
+Each step is committed and on the disk (WAL, `synchronous=FULL`) before the next one starts: the intent before
+the shutter opens, the file's name and hash before the file takes that name, its statistics when it is there.
+So a process that dies anywhere leaves either a verified frame or an intent to shoot again. The tables are
+documented in `docs/session.md`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sqlite3
+import threading
+import time
+from dataclasses import dataclass
+from enum import IntFlag, StrEnum
+from typing import TYPE_CHECKING, Any
+
+from capture.statistics import FrameStatistics
+from rig.errors import BadInput, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+SCHEMA_VERSION = 1
+
+_SCHEMA = f"""
+CREATE TABLE poses (
+    pose INTEGER PRIMARY KEY,
+    wi TEXT NOT NULL,
+    wo TEXT NOT NULL,
+    angles_rad TEXT,
+    refused TEXT,
+    CHECK ((angles_rad IS NULL) <> (refused IS NULL))
+);
+CREATE TABLE visits (
+    visit INTEGER PRIMARY KEY,
+    role TEXT NOT NULL CHECK (role IN ('white', 'sample', 'dark')),
+    pose INTEGER NOT NULL,
+    station TEXT,
+    angles_rad TEXT NOT NULL,
+    held_ticks TEXT,
+    held_rad TEXT,
+    flags INTEGER NOT NULL DEFAULT 0,
+    done INTEGER NOT NULL DEFAULT 0 CHECK (done IN (0, 1)),
+    UNIQUE (role, pose)
+);
+CREATE TABLE shots (
+    shot_id TEXT PRIMARY KEY,
+    visit INTEGER NOT NULL REFERENCES visits (visit),
+    frame INTEGER NOT NULL,
+    exposure_s REAL NOT NULL CHECK (exposure_s > 0),
+    lit INTEGER NOT NULL CHECK (lit IN (0, 1)),
+    state TEXT NOT NULL CHECK (state IN ('intent', 'filed', 'verified')),
+    path TEXT,
+    sha256 TEXT,
+    statistics TEXT,
+    time TEXT NOT NULL,
+    UNIQUE (visit, frame)
+);
+CREATE TABLE events (
+    event INTEGER PRIMARY KEY,
+    time TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    detail TEXT NOT NULL
+);
+PRAGMA user_version = {SCHEMA_VERSION};
+"""
+
+
+class Role(StrEnum):
+    """What a frame is of."""
+
+    WHITE = "white"
+    SAMPLE = "sample"
+    DARK = "dark"
+
+
+class ShotState(StrEnum):
+    """How far a shot has come."""
+
+    INTENT = "intent"
+    FILED = "filed"
+    VERIFIED = "verified"
+
+
+class PoseFlag(IntFlag):
+    """What a pose's frames could not reach; the values are part of the file format."""
+
+    OVER_RANGE = 1
+    """The brightest part clips even in the shortest frame."""
+    UNDER_RANGE = 2
+    """The brightest part stays below the wanted level even in the longest frame."""
+    NOISY = 4
+    """The dim part stays below the plan's signal-to-noise ratio."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPose:
+    """One pose of the expanded plan.
+
+    Attributes
+    ----------
+    index : int
+        Its number in the plan's order.
+    wi, wo : tuple of float, shape (3,)
+        Directions to light and camera.
+    angles_rad : tuple of float or None
+        Angles of the arm joints; None where the pose was refused.
+    refused : str or None
+        Why the machine cannot take it.
+    """
+
+    index: int
+    wi: tuple[float, ...]
+    wo: tuple[float, ...]
+    angles_rad: tuple[float, ...] | None
+    refused: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Where the arms verifiably stood: ticks of all servos, angles of the arm joints."""
+
+    ticks: tuple[int, ...]
+    angles_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One stay at one pose in one role.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the order of the session.
+    role : Role
+    pose : int
+        The pose's index; for darks 0 is the shortest exposure, 1 the longest.
+    station : str or None
+        Station of the wheel, None without one.
+    angles_rad : tuple of float
+        Planned angles of the arm joints.
+    held : Held or None
+        Measured; None before the arms got there.
+    flags : PoseFlag
+    done : bool
+        Whether all its frames are hashed and checked.
+    """
+
+    number: int
+    role: Role
+    pose: int
+    station: str | None
+    angles_rad: tuple[float, ...]
+    held: Held | None = None
+    flags: PoseFlag = PoseFlag(0)
+    done: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One exposure, from its intent to its verified file.
+
+    Attributes
+    ----------
+    shot_id : str
+    visit : int
+    frame : int
+        Its number within the visit.
+    exposure_s : float
+    lit : bool
+    state : ShotState
+    path : str or None
+        Below the session's folder, with forward slashes.
+    sha256 : str or None
+        Of the file's bytes.
+    statistics : FrameStatistics or None
+    """
+
+    shot_id: str
+    visit: int
+    frame: int
+    exposure_s: float
+    lit: bool
+    state: ShotState = ShotState.INTENT
+    path: str | None = None
+    sha256: str | None = None
+    statistics: FrameStatistics | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened: an interruption, a stray file, a stop."""
+
+    time: str
+    kind: str
+    detail: dict[str, Any]
+
+
+class Journal:
+    """An open journal. Any thread may call any method.
+
+    Parameters
+    ----------
+    path : Path
+        An existing journal; `Journal.create` makes one.
+    read_only : bool
+        Whether to refuse every change; a session on a read-only disk can be read.
+
+    Raises
+    ------
+    BadInput
+        The file is not there, or is no journal that this version reads.
+    """
+
+    def __init__(self, path: Path, *, read_only: bool = False) -> None:
+        if not path.is_file():
+            raise BadInput("no journal here", where=str(path), todo="give the folder of a session")
+        self.path = path
+        self._lock = threading.RLock()
+        try:
+            self._connection = _connect(path, "ro" if read_only else "rw")
+            version = self._connection.execute("PRAGMA user_version").fetchone()[0]
+        except sqlite3.Error as error:
+            raise BadInput(
+                f"not a readable journal ({error})", where=str(path), todo="restore the session"
+            ) from None
+        if version != SCHEMA_VERSION:
+            self._connection.close()
+            raise BadInput(
+                f"journal of version {version}, this gonio reads {SCHEMA_VERSION}",
+                where=str(path),
+                todo="use the gonio that wrote it",
+            )
+
+    @classmethod
+    def create(cls, path: Path, poses: Sequence[PlannedPose], visits: Sequence[Visit]) -> Journal:
+        """Make a journal with its plan in it, and open it.
+
+        Raises
+        ------
+        Refused
+            The disk is full.
+        """
+        connection = _connect(path, "rwc")
+        with contextlib.closing(connection), _one_line(path):
+            connection.execute("PRAGMA journal_mode=WAL")
+            connection.executescript(_SCHEMA)
+        journal = cls(path)
+        with journal._change() as change:
+            change.executemany(
+                "INSERT INTO poses VALUES (?, ?, ?, ?, ?)",
+                [(p.index, _text(p.wi), _text(p.wo), _text(p.angles_rad), p.refused) for p in poses],
+            )
+        journal.add_visits(visits)
+        return journal
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; a second time does nothing."""
+        with self._lock:
+            self._connection.close()
+
+    def poses(self) -> list[PlannedPose]:
+        """All poses of the expanded plan, refused ones too."""
+        rows = self._read("SELECT pose, wi, wo, angles_rad, refused FROM poses ORDER BY pose")
+        return [
+            PlannedPose(pose, _floats(wi), _floats(wo), _floats(angles) if angles else None, refused)
+            for pose, wi, wo, angles, refused in rows
+        ]
+
+    def visits(self) -> list[Visit]:
+        """All visits in the session's order."""
+        rows = self._read(
+            "SELECT visit, role, pose, station, angles_rad, held_ticks, held_rad, flags, done "
+            "FROM visits ORDER BY visit"
+        )
+        return [
+            Visit(
+                number,
+                Role(role),
+                pose,
+                station,
+                _floats(angles),
+                Held(tuple(json.loads(ticks)), _floats(held)) if ticks else None,
+                PoseFlag(flags),
+                bool(done),
+            )
+            for number, role, pose, station, angles, ticks, held, flags, done in rows
+        ]
+
+    def shots(self, visit: int | None = None) -> list[Shot]:
+        """All shots, or those of one visit, in the order of visits and frames."""
+        query = (
+            "SELECT shot_id, visit, frame, exposure_s, lit, state, path, sha256, statistics FROM shots "
+            "WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit, frame"
+        )
+        return [
+            Shot(
+                *row[:4],
+                lit=bool(row[4]),
+                state=ShotState(row[5]),
+                path=row[6],
+                sha256=row[7],
+                statistics=FrameStatistics.from_json(row[8]) if row[8] else None,
+            )
+            for row in self._read(query, (visit,))
+        ]
+
+    def events(self) -> list[Event]:
+        """Everything that happened, in order."""
+        rows = self._read("SELECT time, kind, detail FROM events ORDER BY event")
+        return [Event(moment, kind, json.loads(detail)) for moment, kind, detail in rows]
+
+    def add_visits(self, visits: Sequence[Visit]) -> None:
+        """Add planned visits; one that is there already, by role and pose, stays as it is."""
+        with self._change() as change:
+            change.executemany(
+                "INSERT INTO visits (visit, role, pose, station, angles_rad) VALUES (?, ?, ?, ?, ?) "
+                "ON CONFLICT (role, pose) DO NOTHING",
+                [(v.number, v.role.value, v.pose, v.station, _text(v.angles_rad)) for v in visits],
+            )
+
+    def hold(self, visit: int, held: Held) -> None:
+        """Record where the arms stand for a visit."""
+        with self._change() as change:
+            change.execute(
+                "UPDATE visits SET held_ticks = ?, held_rad = ? WHERE visit = ?",
+                (_text(held.ticks), _text(held.angles_rad), visit),
+            )
+
+    def intend(self, shot: Shot) -> None:
+        """Record a shot before it is made; one intended already, by its ID, stays as it is."""
+        with self._change() as change:
+            change.execute(
+                "INSERT INTO shots (shot_id, visit, frame, exposure_s, lit, state, time) "
+                "VALUES (?, ?, ?, ?, ?, 'intent', ?) ON CONFLICT (shot_id) DO NOTHING",
+                (shot.shot_id, shot.visit, shot.frame, shot.exposure_s, int(shot.lit), now()),
+            )
+
+    def file(self, shot_id: str, path: str, sha256: str) -> None:
+        """Record which file, with which content, is about to take its place."""
+        with self._change() as change:
+            change.execute(
+                "UPDATE shots SET state = 'filed', path = ?, sha256 = ?, time = ? WHERE shot_id = ?",
+                (path, sha256, now(), shot_id),
+            )
+
+    def verify(self, shot_id: str, statistics: FrameStatistics) -> None:
+        """Record that a filed shot is in its place and checked, and what it shows."""
+        with self._change() as change:
+            change.execute(
+                "UPDATE shots SET state = 'verified', statistics = ?, time = ? WHERE shot_id = ?",
+                (statistics.to_json(), now(), shot_id),
+            )
+
+    def withdraw(self, shot_id: str) -> None:
+        """Put a shot back to its intent, because its file is not what was recorded."""
+        with self._change() as change:
+            change.execute(
+                "UPDATE shots SET state = 'intent', path = NULL, sha256 = NULL, statistics = NULL, time = ? "
+                "WHERE shot_id = ?",
+                (now(), shot_id),
+            )
+
+    def reopen(self, visit: int) -> None:
+        """Forget a visit's shots and place, because the arms no longer stand where they stood."""
+        with self._change() as change:
+            change.execute("DELETE FROM shots WHERE visit = ?", (visit,))
+            change.execute(
+                "UPDATE visits SET held_ticks = NULL, held_rad = NULL, flags = 0, done = 0 WHERE visit = ?",
+                (visit,),
+            )
+
+    def finish(self, visit: int, flags: PoseFlag) -> None:
+        """Record that all frames of a visit are hashed and checked."""
+        with self._change() as change:
+            change.execute("UPDATE visits SET flags = ?, done = 1 WHERE visit = ?", (int(flags), visit))
+
+    def note(self, kind: str, **detail: Any) -> None:  # noqa: ANN401 - any JSON value
+        """Record an event."""
+        with self._change() as change:
+            change.execute(
+                "INSERT INTO events (time, kind, detail) VALUES (?, ?, ?)",
+                (now(), kind, json.dumps(detail, default=str)),
+            )
+
+    def _read(self, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        with self._lock, _one_line(self.path):
+            return self._connection.execute(query, values).fetchall()
+
+    @contextlib.contextmanager
+    def _change(self) -> Iterator[sqlite3.Connection]:
+        """Commit one change as a whole, on the disk when this returns, or change nothing."""
+        with self._lock, _one_line(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                with contextlib.suppress(sqlite3.Error):  # a full disk has rolled back already
+                    self._connection.execute("ROLLBACK")
+                raise
+
+
+def now() -> str:
+    """Return the time in UTC, ISO 8601 with milliseconds."""
+    seconds = time.time()
+    return f"{time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime(seconds))}.{int(seconds % 1 * 1000):03d}Z"
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None, check_same_thread=False
+    )
+    if mode == "ro":
+        try:
+            connection.execute("PRAGMA schema_version")
+        except sqlite3.OperationalError:
+            # On a read-only disk WAL's side files cannot be made; nobody can be writing there either.
+            connection.close()
+            uri = f"{path.absolute().as_uri()}?immutable=1"
+            return sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+    else:
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute("PRAGMA foreign_keys=ON")
+    return connection
+
+
+@contextlib.contextmanager
+def _one_line(path: Path) -> Iterator[None]:
+    """Say a full disk in one line; everything committed stays."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        if "full" not in str(error) and "I/O" not in str(error):
+            raise BadInput(
+                f"the journal cannot be used ({error})",
+                where=str(path),
+                todo="check its disk and permissions",
+            ) from error
+        raise disk_full(path.parent) from error
+
+
+def disk_full(folder: Path) -> Refused:
+    """Return the error of a session whose disk is full; what was recorded stays."""
+    return Refused(
+        "the disk is full; nothing recorded is lost",
+        where=str(folder),
+        todo=f"free some space, then gonio capture --resume {folder}",
+    )
+
+
+def _text(numbers: Sequence[float] | None) -> str | None:
+    return None if numbers is None else json.dumps(list(numbers))
+
+
+def _floats(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in json.loads(text))

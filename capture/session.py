@@ -1,0 +1,298 @@
+"""A session on disk: everything that one run of a plan recorded, in one folder.
+
+`Session` reads it; nothing here writes frames or talks to hardware. The layout, the journal's tables and the
+flags are documented in `docs/session.md`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture.journal import Journal, PoseFlag, Role, ShotState
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from capture.journal import Event, PlannedPose, Shot, Visit
+    from capture.plan import Plan
+    from capture.sensor import SensorModel
+    from rig.description import Rig
+
+FORMAT_VERSION = 1
+
+SESSION_FILE, JOURNAL_FILE, PLAN_FILE, RIG_FILE = "session.json", "journal.db", "plan.toml", "rig.toml"
+DOCUMENTS_FILE = "documents.jsonl"
+FRAMES_FOLDER, STRAY_FOLDER, CALIBRATION_FOLDER = "frames", "frames/stray", "calibration"
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """One verified frame.
+
+    Attributes
+    ----------
+    path : Path
+        Its file.
+    shot_id : str
+    exposure_s : float
+        How long light was collected.
+    lit : bool
+        Whether the lamp was on.
+    sha256 : str
+        Of the file's bytes, hex.
+    """
+
+    path: Path
+    shot_id: str
+    exposure_s: float
+    lit: bool
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class PoseRecord:
+    """One pose in one role, with all its frames.
+
+    Attributes
+    ----------
+    index : int
+        The pose's number in the plan; equal for sample and white of the same pose. For darks 0 is the
+        shortest exposure, 1 the longest.
+    station : str or None
+        What the wheel had brought; None without a wheel.
+    role : str
+        "sample", "white" or "dark".
+    angles_rad : tuple of float
+        Measured angles of `rig.arm_joints`.
+    ticks : tuple of int
+        Measured positions of all servos, in the order of the rig file.
+    frames : tuple of FrameRecord
+        In the order in which they were shot.
+    flags : PoseFlag
+        What they could not reach.
+    complete : bool
+        Whether the pose counts: all its frames hashed and checked.
+    """
+
+    index: int
+    station: str | None
+    role: str
+    angles_rad: tuple[float, ...]
+    ticks: tuple[int, ...]
+    frames: tuple[FrameRecord, ...]
+    flags: PoseFlag
+    complete: bool
+
+
+class Session:
+    """A session folder, read only; `Session.open` opens one, and a `with` block closes its journal.
+
+    Attributes
+    ----------
+    folder : Path
+    facts : dict
+        Content of `session.json`.
+    journal : Journal
+        Read only.
+    """
+
+    def __init__(self, folder: Path, facts: dict[str, Any], journal: Journal) -> None:
+        self.folder, self.facts, self.journal = folder, facts, journal
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Session:
+        """Open a session for reading, also while it is being captured.
+
+        Parameters
+        ----------
+        folder : path
+
+        Raises
+        ------
+        BadInput
+            It is no session, or one of another version.
+        """
+        place = Path(folder)
+        return cls(place, read_facts(place), Journal(place / JOURNAL_FILE, read_only=True))
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the journal."""
+        self.journal.close()
+
+    @property
+    def name(self) -> str:
+        """The session's title."""
+        return str(self.facts["name"])
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The machine, from the session's own copy of its file."""
+        from rig.description import load_rig
+
+        return load_rig(self.folder / RIG_FILE)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan, from the session's own copy of its file."""
+        from capture.plan import load_plan
+
+        return load_plan(self.folder / PLAN_FILE)
+
+    @cached_property
+    def sensor(self) -> SensorModel | None:
+        """The sensor's calibration, None where the machine had none."""
+        return load_session_sensor(self.folder)
+
+    def planned(self) -> list[PlannedPose]:
+        """All poses of the expanded plan, refused ones too."""
+        return self.journal.poses()
+
+    def poses(self, role: str | None = None, *, complete: bool = True) -> list[PoseRecord]:
+        """All poses recorded, in the plan's order, the sample's before the white's before the darks.
+
+        Parameters
+        ----------
+        role : str, optional
+            Only "sample", "white" or "dark".
+        complete : bool
+            Only those that count; otherwise also those that the capture has not finished.
+
+        Returns
+        -------
+        list of PoseRecord
+        """
+        shots: dict[int, list[Shot]] = {}
+        for shot in self.journal.shots():
+            if shot.state is ShotState.VERIFIED:
+                shots.setdefault(shot.visit, []).append(shot)
+        order = [Role.SAMPLE, Role.WHITE, Role.DARK]
+        visits = [
+            visit
+            for visit in self.journal.visits()
+            if visit.held is not None and role in {None, visit.role} and (visit.done or not complete)
+        ]
+        visits.sort(key=lambda visit: (order.index(visit.role), visit.pose))
+        return [self._record(visit, shots.get(visit.number, [])) for visit in visits]
+
+    def frames_of(self, pose_index: int, role: str) -> list[FrameRecord]:
+        """Frames of one pose in one role; none where it does not count (yet)."""
+        return [frame for pose in self.poses(role) if pose.index == pose_index for frame in pose.frames]
+
+    def complete(self) -> bool:
+        """Whether everything planned has been done."""
+        visits = self.journal.visits()
+        wanted = self.plan.darks.count > 0
+        return all(visit.done for visit in visits) and (
+            not wanted or any(visit.role is Role.DARK for visit in visits)
+        )
+
+    def events(self) -> list[Event]:
+        """Interruptions, strays, stops."""
+        return self.journal.events()
+
+    def damaged(self) -> list[str]:
+        """Check every verified frame's hash.
+
+        Returns
+        -------
+        list of str
+            One line for each file that is missing or changed; empty when all is well.
+        """
+        faults = []
+        for shot in self.journal.shots():
+            if shot.state is not ShotState.VERIFIED or shot.path is None:
+                continue
+            path = self.folder / shot.path
+            if not path.is_file():
+                faults.append(f"{shot.path} is missing")
+            elif hash_file(path) != shot.sha256:
+                faults.append(f"{shot.path} has changed")
+        return faults
+
+    def _record(self, visit: Visit, shots: list[Shot]) -> PoseRecord:
+        if visit.held is None:
+            raise BadInput("a pose without its place", where=str(self.folder), todo="restore the session")
+        frames = tuple(
+            FrameRecord(
+                self.folder / (shot.path or ""), shot.shot_id, shot.exposure_s, shot.lit, shot.sha256 or ""
+            )
+            for shot in shots
+        )
+        return PoseRecord(
+            index=visit.pose,
+            station=visit.station,
+            role=visit.role.value,
+            angles_rad=visit.held.angles_rad,
+            ticks=visit.held.ticks,
+            frames=frames,
+            flags=visit.flags,
+            complete=visit.done,
+        )
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Read `session.json`.
+
+    Raises
+    ------
+    BadInput
+        The folder is no session, or one of another version.
+    """
+    path = folder / SESSION_FILE
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(
+            "not a session", where=str(folder), todo="give a folder made by gonio capture"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise BadInput(f"unreadable ({error})", where=str(path), todo="restore the session") from None
+    if not isinstance(facts, dict) or facts.get("gonio_session") != FORMAT_VERSION:
+        raise BadInput("a session of another version", where=str(path), todo="use the gonio that wrote it")
+    return facts
+
+
+def load_session_sensor(folder: Path) -> SensorModel | None:
+    """Read the sensor's calibration below a folder, None where there is none.
+
+    Raises
+    ------
+    BadInput
+        There is one that cannot be used.
+    """
+    from capture.sensor import load_sensor
+
+    path = folder / CALIBRATION_FOLDER / "sensor.toml"
+    return load_sensor(path) if path.is_file() else None
+
+
+def calibration_hashes(folder: Path) -> dict[str, str]:
+    """Hash the calibration files below a folder: name -> SHA-256 (hex)."""
+    files = sorted((folder / CALIBRATION_FOLDER).glob("*.toml"))
+    return {file.name: hash_file(file) for file in files}
+
+
+def hash_file(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, hex."""
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
