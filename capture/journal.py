@@ -1,4 +1,4 @@
-"""A session's journal: one SQLite file, the single truth of what was planned, shot, verified, and what happened.
+"""A session's journal: one SQLite file, the single truth of what was planned, shot and verified.
 
 Each step is committed and on the disk (WAL, `synchronous=FULL`) before the next one starts: the intent before
 the shutter opens, the file's name and hash before the file takes that name, its statistics when it is there.
@@ -13,10 +13,9 @@ import json
 import sqlite3
 import threading
 import time
-from dataclasses import dataclass
-from enum import IntFlag, StrEnum
 from typing import TYPE_CHECKING, Any
 
+from capture.records import Event, Held, PlannedPose, PoseFlag, Role, Shot, ShotState, Visit
 from capture.statistics import FrameStatistics
 from rig.errors import BadInput, Refused
 
@@ -69,136 +68,6 @@ CREATE TABLE events (
 );
 PRAGMA user_version = {SCHEMA_VERSION};
 """
-
-
-class Role(StrEnum):
-    """What a frame is of."""
-
-    WHITE = "white"
-    SAMPLE = "sample"
-    DARK = "dark"
-
-
-class ShotState(StrEnum):
-    """How far a shot has come."""
-
-    INTENT = "intent"
-    FILED = "filed"
-    VERIFIED = "verified"
-
-
-class PoseFlag(IntFlag):
-    """What a pose's frames could not reach; the values are part of the file format."""
-
-    OVER_RANGE = 1
-    """The brightest part clips even in the shortest frame."""
-    UNDER_RANGE = 2
-    """The brightest part stays below the wanted level even in the longest frame."""
-    NOISY = 4
-    """The dim part stays below the plan's signal-to-noise ratio."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedPose:
-    """One pose of the expanded plan.
-
-    Attributes
-    ----------
-    index : int
-        Its number in the plan's order.
-    wi, wo : tuple of float, shape (3,)
-        Directions to light and camera.
-    angles_rad : tuple of float or None
-        Angles of the arm joints; None where the pose was refused.
-    refused : str or None
-        Why the machine cannot take it.
-    """
-
-    index: int
-    wi: tuple[float, ...]
-    wo: tuple[float, ...]
-    angles_rad: tuple[float, ...] | None
-    refused: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """Where the arms verifiably stood: ticks of all servos, angles of the arm joints."""
-
-    ticks: tuple[int, ...]
-    angles_rad: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Visit:
-    """One stay at one pose in one role.
-
-    Attributes
-    ----------
-    number : int
-        Its place in the order of the session.
-    role : Role
-    pose : int
-        The pose's index; for darks 0 is the shortest exposure, 1 the longest.
-    station : str or None
-        Station of the wheel, None without one.
-    angles_rad : tuple of float
-        Planned angles of the arm joints.
-    held : Held or None
-        Measured; None before the arms got there.
-    flags : PoseFlag
-    done : bool
-        Whether all its frames are hashed and checked.
-    """
-
-    number: int
-    role: Role
-    pose: int
-    station: str | None
-    angles_rad: tuple[float, ...]
-    held: Held | None = None
-    flags: PoseFlag = PoseFlag(0)
-    done: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """One exposure, from its intent to its verified file.
-
-    Attributes
-    ----------
-    shot_id : str
-    visit : int
-    frame : int
-        Its number within the visit.
-    exposure_s : float
-    lit : bool
-    state : ShotState
-    path : str or None
-        Below the session's folder, with forward slashes.
-    sha256 : str or None
-        Of the file's bytes.
-    statistics : FrameStatistics or None
-    """
-
-    shot_id: str
-    visit: int
-    frame: int
-    exposure_s: float
-    lit: bool
-    state: ShotState = ShotState.INTENT
-    path: str | None = None
-    sha256: str | None = None
-    statistics: FrameStatistics | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened: an interruption, a stray file, a stop."""
-
-    time: str
-    kind: str
-    detail: dict[str, Any]
 
 
 class Journal:
@@ -308,14 +177,19 @@ class Journal:
         )
         return [
             Shot(
-                *row[:4],
-                lit=bool(row[4]),
-                state=ShotState(row[5]),
-                path=row[6],
-                sha256=row[7],
-                statistics=FrameStatistics.from_json(row[8]) if row[8] else None,
+                shot_id,
+                number,
+                frame,
+                exposure_s,
+                bool(lit),
+                ShotState(state),
+                path,
+                sha256,
+                FrameStatistics.from_json(statistics) if statistics else None,
             )
-            for row in self._read(query, (visit,))
+            for shot_id, number, frame, exposure_s, lit, state, path, sha256, statistics in self._read(
+                query, (visit,)
+            )
         ]
 
     def events(self) -> list[Event]:
@@ -388,7 +262,7 @@ class Journal:
         with self._change() as change:
             change.execute("UPDATE visits SET flags = ?, done = 1 WHERE visit = ?", (int(flags), visit))
 
-    def note(self, kind: str, **detail: Any) -> None:  # noqa: ANN401 - any JSON value
+    def note(self, kind: str, **detail: Any) -> None:
         """Record an event."""
         with self._change() as change:
             change.execute(

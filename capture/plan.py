@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from capture import poses
+from rig.angles import FloatArray
 from rig.errors import BadInput
 from rig.parts import Part
 from rig.rig_errors import explain
@@ -42,7 +43,9 @@ class Grid(Part):
     def directions(self) -> poses.Directions:
         """Directions of all its poses, (N, 3) each."""
         return poses.grid(
-            *(np.radians(angles) for angles in (self.theta_i_deg, self.theta_o_deg, self.phi_deg)),
+            np.radians(self.theta_i_deg),
+            np.radians(self.theta_o_deg),
+            np.radians(self.phi_deg),
             np.radians(self.phi_i_deg),
         )
 
@@ -172,7 +175,7 @@ class Plan(Part):
         content = self.model_dump(mode="json")
         return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
-    def directions(self) -> tuple[poses.FloatArray, poses.FloatArray, int]:
+    def directions(self) -> tuple[FloatArray, FloatArray, int]:
         """Expand the generators.
 
         Returns

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from capture.journal import Journal, PoseFlag, Role, ShotState
+from capture.journal import Journal
+from capture.records import Role, ShotState
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    import os
     from types import TracebackType
 
-    from capture.journal import Event, PlannedPose, Shot, Visit
     from capture.plan import Plan
+    from capture.records import Event, PlannedPose, PoseFlag, Shot, Visit
     from capture.sensor import SensorModel
     from rig.description import Rig
 

@@ -130,7 +130,7 @@ def _pixels(
     clip_dn: float,
     sensor: SensorModel | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """Counts above black of one channel, which of them clip, and its highest black level."""
+    """Collect one channel's counts above black, which of them clip, and its highest black level."""
     black_dn = frame.black_dn
     if sensor is not None and sensor.black_dn is not None:
         black_dn = np.reshape(sensor.black_dn, (2, 2))
