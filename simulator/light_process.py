@@ -73,8 +73,11 @@ class LightSettings:
         return Path(self.folder) / "frames"
 
 
-def error_record(error: GonioError) -> dict[str, str]:
+def error_record(error: GonioError | OSError) -> dict[str, str]:
     """Turn an error into something that JSON carries."""
+    if isinstance(error, OSError):
+        what, where = error.strerror or str(error), str(error.filename or "twin")
+        error = BadInput(what, where=where, todo="check the folder, its permissions and the free space")
     return {"kind": type(error).__name__, "what": error.what, "where": error.where, "todo": error.todo}
 
 
@@ -133,7 +136,7 @@ def _answers(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
     try:
         rig = prepare_rig(settings)
         maker = _frame_maker(rig, settings)
-    except GonioError as error:
+    except (GonioError, OSError) as error:
         yield {"error": error_record(error)}
         return
     yield machine_record(rig)
@@ -142,11 +145,8 @@ def _answers(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
         shot = order["shot"]
         try:
             yield {"shot": shot, "path": str(maker.make(frame_request(rig, settings, order)))}
-        except GonioError as error:
+        except (GonioError, OSError) as error:
             yield {"shot": shot, "error": error_record(error)}
-        except OSError as error:
-            failure = BadInput(error.strerror or str(error), where=str(error.filename or "frame"))
-            yield {"shot": shot, "error": error_record(failure)}
 
 
 def _frame_maker(rig: Rig, settings: LightSettings) -> FrameMaker:

@@ -27,7 +27,8 @@ from rig.control_table import (
     StatusError,
     control_table,
 )
-from simulator.motion import Limits, Motion, ProfileKind, move_to, turn_at
+from simulator.motion import Motion, move_to, turn_at
+from simulator.profile import Profile
 from simulator.registers import Registers
 
 if TYPE_CHECKING:
@@ -49,8 +50,6 @@ _POSITION_MODES = (
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _LIMITED_BY = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}
 _HOMING_LIMIT_IN_ONE_TURN = 1024
-_FASTEST_ACCELERATION = 32_767
-"""Profile acceleration 0 means as fast as the motor can: taken for the largest that can be asked for."""
 _MEASURED_FROM, _MEASURED_TO = 120, 147
 _CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"
 
@@ -90,6 +89,7 @@ class Servo:
     ) -> None:
         self.model = MODELS[model]
         self._registers = Registers(control_table(model))
+        self._profile = Profile(self.model, self._registers)
         self._speed, self._power_up, self._heard = speed, now, now
         self._motion, self._motion_start = Motion(float(shaft_ticks)), now
         self._counted_turns = 0
@@ -246,7 +246,7 @@ class Servo:
     def moving(self, now: float) -> bool:
         """Tell whether a profile is running or the shaft turns faster than the moving threshold."""
         self._check_watchdog(now)
-        speed = abs(self._shaft(now)[1]) / self._velocity_unit
+        speed = abs(self._shaft(now)[1]) / self._profile.velocity_unit
         return self._running(now) or speed > self.value("moving_threshold")
 
     def present_ticks(self, now: float) -> int:
@@ -278,16 +278,6 @@ class Servo:
 
     # -- motion
 
-    @property
-    def _velocity_unit(self) -> float:
-        """Ticks per second of one count of a velocity."""
-        return self.model.velocity_unit_rpm * self.model.ticks_per_turn / 60.0
-
-    @property
-    def _acceleration_unit(self) -> float:
-        """Ticks per second squared of one count of a profile acceleration."""
-        return self.model.acceleration_unit_rpm2 * self.model.ticks_per_turn / 3600.0
-
     def _motion_time(self, now: float) -> float:
         return (now - self._motion_start) * self._speed
 
@@ -303,29 +293,6 @@ class Servo:
     def _halt(self, now: float) -> None:
         """Stand still at once, on a whole tick: what is reported is where the shaft is."""
         self._start(Motion(float(_nearest(self._shaft(now)[0]))), now)
-
-    @property
-    def _acceleration(self) -> float:
-        return (self.value("profile_acceleration") or _FASTEST_ACCELERATION) * self._acceleration_unit
-
-    def _fastest(self) -> float:
-        """Ticks per second that neither the velocity limit nor the motor exceeds."""
-        motor = self.model.no_load_rpm / self.model.velocity_unit_rpm
-        return min(float(self.value("velocity_limit")), motor) * self._velocity_unit
-
-    def _profile(self, distance: float) -> tuple[Limits, ProfileKind | None]:
-        """Limits of the next motion, and its kind where it is not the one that the distance decides."""
-        velocity, acceleration = self.value("profile_velocity"), self.value("profile_acceleration")
-        kind = None if acceleration else ProfileKind.RECTANGULAR
-        if velocity == 0:
-            return Limits(self._fastest(), self._acceleration), ProfileKind.STEP
-        if not self.value("drive_mode") & DriveMode.TIME_BASED_PROFILE:
-            return Limits(min(velocity * self._velocity_unit, self._fastest()), self._acceleration), kind
-        total_s = velocity / 1000.0
-        ramp_s = min(acceleration / 1000.0, total_s / 2.0)
-        cruise = max(abs(distance) / (total_s - ramp_s), 1e-9)
-        limit = cruise / ramp_s if ramp_s else _FASTEST_ACCELERATION * self._acceleration_unit
-        return Limits(min(cruise, self._fastest()), limit), kind
 
     # -- what follows a write
 
@@ -346,14 +313,14 @@ class Servo:
             return
         position, velocity = self._shaft(now)
         target = self._to_shaft(value)
-        limits, kind = self._profile(target - position)
+        limits, kind = self._profile.limits(target - position)
         motion = move_to(target, position, velocity, limits)
         self._start(motion if kind is None else replace(motion, kind=kind), now)
 
     def _after_goal_velocity(self, value: int, now: float) -> None:
         if self.value("operating_mode") == OperatingMode.VELOCITY and self.value("torque_enable"):
-            goal = self._direction * value * self._velocity_unit
-            self._start(turn_at(goal, *self._shaft(now), self._acceleration), now)
+            goal = self._direction * value * self._profile.velocity_unit
+            self._start(turn_at(goal, *self._shaft(now), self._profile.acceleration()), now)
 
     def _after_frame_change(self, _value: int, now: float) -> None:
         if self.value("operating_mode") == OperatingMode.POSITION:
@@ -427,7 +394,7 @@ class Servo:
         """Bring the registers that the servo measures up to date."""
         self._check_watchdog(now)
         shaft, shaft_velocity = self._shaft(now)
-        velocity = _nearest(self._direction * shaft_velocity / self._velocity_unit)
+        velocity = _nearest(self._direction * shaft_velocity / self._profile.velocity_unit)
         position, running = _nearest(self._reported(shaft)), self._running(now)
         status = int(self._motion.kind) | (MOVING_PROFILE_ONGOING if running else 0)
         if self.value("operating_mode") in _POSITION_MODES and position == self.value("goal_position"):

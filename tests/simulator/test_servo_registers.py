@@ -267,3 +267,25 @@ def test_any_read_is_answered(address: int, length: int) -> None:
     """Catches a read that kills the twin: at gaps, at the end, of nothing."""
     error, data = Servo(1).read(address, length, 0.0)
     assert len(data) == (0 if error else length)
+
+
+def test_a_velocity_limit_of_zero_is_standing_still() -> None:
+    """Catches a division by zero: limit 0 is in the register's range, and a client may write it."""
+    client = Client(shaft_ticks=1000)
+    client.write("velocity_limit", 0)
+    client.move(3000, velocity=0)
+    client.now = 100.0
+    assert client.read("present_position") == 1000
+
+
+def test_velocity_mode_turns_until_it_is_told_to_stop() -> None:
+    """Catches a goal velocity that is ignored, or that outlives the torque."""
+    client = Client(shaft_ticks=0)
+    client.write("operating_mode", 1)
+    client.write("torque_enable", 1)
+    client.write("goal_velocity", -100)
+    client.now = 10.0
+    assert client.read("present_velocity") == -100
+    assert client.read("present_position") == pytest.approx(-100 * 0.229 * 4096 / 60 * 10, rel=1e-3)
+    client.write("torque_enable", 0)
+    assert client.read("moving") == 0
