@@ -42,4 +42,4 @@ def _print_ports(ready: dict[str, Any]) -> None:
     print(f"lamp    {ready['lamp']}  115200 baud, lines of text")
     print(f"frames  {ready['frames']}")
     print(f"rig     {ready['rig']}")
-    print(f"Try: gonio rig check {ready['rig']}        Stop with Ctrl-C.", flush=True)
+    print(f"Try: gonio rig check --rig {ready['rig']}        Stop with Ctrl-C.", flush=True)
