@@ -43,7 +43,9 @@ class Sample:
 
     def variance_dn2(self, shot: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance of the signal for a shot-noise variance per second."""
-        return shot * self.exposure_s + (self.floor_dn2 + _TINY)
+        variance = shot * self.exposure_s
+        variance += self.floor_dn2 + _TINY
+        return variance
 
 
 class Estimate(NamedTuple):
@@ -82,39 +84,79 @@ def estimate(
     Estimate
         In the samples' precision.
     """
-    # The factor of a signal is w t / v; Poisson's v goes with t, so its factors are the weights themselves.
-    factors: list[Any] = [1.0 if sample.weight is None else sample.weight for sample in samples]
-    radiance, total = _weighted_mean(samples, factors)
+    top, bottom = _sums(samples, [sample.weight for sample in samples])
+    radiance = top / bottom
     for _ in range(iterations):
         shot = _shot(radiance, gain_dn_per_e, dark_rate_dn_per_s)
         factors = [sample.weighted(sample.exposure_s / sample.variance_dn2(shot)) for sample in samples]
-        radiance, total = _weighted_mean(samples, factors)
-    shot = _shot(radiance, gain_dn_per_e, dark_rate_dn_per_s)
-    spread, used, chi_square = _ZERO, _ZERO, _ZERO
-    for sample, factor in zip(samples, factors, strict=True):
-        variance = sample.variance_dn2(shot)
-        spread = spread + factor * factor * variance
-        used = used + factor
-        residual = sample.signal_dn - radiance * sample.exposure_s
-        chi_square = chi_square + sample.weighted(residual * residual / variance)
-    variance = spread / (total * total)
+        top, bottom = _sums(samples, factors)
+        radiance = top / bottom
+    if iterations:
+        spread, used, chi_square = _likelihood_spread(samples, factors, radiance)
+    else:
+        shot = _shot(radiance, gain_dn_per_e, dark_rate_dn_per_s)
+        spread, used, chi_square = _poisson_spread(samples, shot, radiance)
+    variance = spread / (bottom * bottom)
     bias_bias, bias_rate, rate_rate = common_dn2
     if bias_bias or rate_rate:
         # An error b + r t of all darks moves the estimate by b sum(factors) / sum(factors t) + r.
-        lever = used / total
-        variance = variance + (bias_bias * lever + 2.0 * bias_rate) * lever + rate_rate
+        lever = used / bottom
+        variance += (bias_bias * lever + 2.0 * bias_rate) * lever + rate_rate
     return Estimate(radiance, variance, chi_square)
 
 
-def _weighted_mean(samples: Sequence[Sample], factors: Sequence[Any]) -> tuple[Any, Any]:
-    """Weighted mean of signal over exposure, and the sum of factor times exposure."""
+def _sums(samples: Sequence[Sample], factors: Sequence[Any]) -> tuple[Any, Any]:
+    """Sum of factor times signal, and of factor times exposure; a factor of None is 1."""
     top, bottom = _ZERO, _ZERO
     for sample, factor in zip(samples, factors, strict=True):
-        top = top + factor * sample.signal_dn
-        bottom = bottom + factor * sample.exposure_s
-    return top / bottom, bottom
+        if factor is None:
+            top = top + sample.signal_dn
+            bottom = bottom + sample.exposure_s
+        else:
+            top = top + factor * sample.signal_dn
+            bottom = bottom + factor * sample.exposure_s
+    return top, bottom
+
+
+def _likelihood_spread(
+    samples: Sequence[Sample], factors: Sequence[Any], radiance: Any
+) -> tuple[Any, Any, Any]:
+    """Sum of factor^2 v, sum of factors, and chi-square, for factors w t / v of the last iteration."""
+    spread, used, chi_square = _ZERO, _ZERO, _ZERO
+    for sample, factor in zip(samples, factors, strict=True):
+        spread = spread + sample.weighted(factor) * sample.exposure_s
+        used = used + factor
+        residual = _residual(sample, radiance)
+        residual *= residual
+        residual *= factor
+        residual *= 1.0 / sample.exposure_s
+        chi_square = chi_square + residual
+    return spread, used, chi_square
+
+
+def _poisson_spread(samples: Sequence[Sample], shot: Any, radiance: Any) -> tuple[Any, Any, Any]:
+    """Sum of weight^2 v, sum of weights, and chi-square, for the Poisson estimate."""
+    of_shot, of_floor, used, chi_square = _ZERO, _ZERO, _ZERO, _ZERO
+    for sample in samples:
+        square = 1.0 if sample.weight is None else sample.weight * sample.weight
+        of_shot = of_shot + square * sample.exposure_s
+        of_floor = of_floor + square * sample.floor_dn2
+        used = used + (1.0 if sample.weight is None else sample.weight)
+        residual = _residual(sample, radiance)
+        residual *= residual
+        residual /= sample.variance_dn2(shot)
+        chi_square = chi_square + sample.weighted(residual)
+    return shot * of_shot + (of_floor + _TINY), used, chi_square
+
+
+def _residual(sample: Sample, radiance: Any) -> Any:
+    expected = radiance * sample.exposure_s
+    return np.subtract(sample.signal_dn, expected, out=expected)
 
 
 def _shot(radiance: Any, gain: float, dark_rate: Any) -> Any:
     """Variance per second of exposure: gain times signal, never negative."""
-    return gain * (np.maximum(radiance, 0.0) + dark_rate)
+    shot = np.maximum(radiance, 0.0)
+    shot += dark_rate
+    shot *= gain
+    return shot

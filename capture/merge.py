@@ -266,7 +266,8 @@ class _Job:
             weight = None
             if counts.max() >= self.ramp.lowest_start:
                 weight = self.ramp.weights(level)
-                self._reject_neighbours(level, weight, flags)
+                if weight.any():
+                    self._reject_neighbours(level, weight, flags)
             whole += weight is None
             level -= _part(self.dark.level_dn[index], rows)
             floor = self.noise.floor_dn2 + self.dark.variance_dn2[index]

@@ -1,0 +1,83 @@
+"""Run benchmarks from a checkout: time against error, against peers, measured in this run.
+
+PART names a file of the checkout's benchmarks/ folder; without it all parts run. A part is a module with a
+function run(plots), where plots is a folder for figures or None, that returns rows of name, value, unit,
+target (the bound, null for information only) and ok. The exit code is 1 where a target is missed. The JSON
+object: results, a list of these rows.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.output import add_json_option, print_json
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    import argparse
+
+EXAMPLE = "gonio bench imaging --plots figures"
+
+EXIT_TARGET_MISSED = 1
+_KEYS = ("name", "value", "unit", "target", "ok")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("parts", nargs="*", metavar="PART", help="what to measure; all parts by default")
+    parser.add_argument("--plots", metavar="FOLDER", help="write figures of time against error there")
+    add_json_option(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the parts and print their rows."""
+    folder = _folder()
+    known = sorted(path.stem for path in folder.glob("*.py") if "\ndef run(" in path.read_text("utf-8"))
+    parts = options.parts or known
+    for part in parts:
+        if part not in known:
+            raise BadInput(
+                f"no benchmark of that name, there are {', '.join(known)}", where=part, todo="name one"
+            )
+    plots = None
+    if options.plots:
+        plots = Path(options.plots)
+        plots.mkdir(parents=True, exist_ok=True)
+    results: list[dict[str, Any]] = []
+    for part in parts:
+        rows = [{key: row[key] for key in _KEYS} for row in _load(folder / f"{part}.py").run(plots)]
+        results += rows
+        if not options.json:
+            _print_rows(part, rows)
+    if options.json:
+        print_json({"results": results})
+    return 0 if all(row["ok"] for row in results) else EXIT_TARGET_MISSED
+
+
+def _folder() -> Path:
+    folder = Path(__file__).resolve().parents[2] / "benchmarks"
+    if not folder.is_dir():
+        what = "benchmarks run from a checkout, and this gonio is installed without one"
+        raise BadInput(what, todo="clone the repository, run make, then .venv/bin/gonio bench there")
+    return folder
+
+
+def _load(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(f"benchmarks_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise BadInput("it cannot be loaded", where=str(path), todo="it must be a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up by name
+    spec.loader.exec_module(module)
+    return module
+
+
+def _print_rows(part: str, rows: list[dict[str, Any]]) -> None:
+    print(part)
+    for row in rows:
+        target = "" if row["target"] is None else f"target {row['target']:g}"
+        verdict = "ok" if row["ok"] else "MISSED"
+        print(f"  {row['name']:<58} {row['value']:10.4g} {row['unit']:<8} {target:<14} {verdict}", flush=True)
