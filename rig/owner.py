@@ -8,7 +8,6 @@ serial ports are opened exclusively and stay the last guard.
 from __future__ import annotations
 
 import contextlib
-import getpass
 import hashlib
 import hmac
 import json
@@ -66,7 +65,9 @@ class Lock:
             return cls(int(content["pid"]), int(content["port"]), str(content["token"]))
         except PermissionError as error:
             raise Refused(
-                "another user owns the machine", where=str(path), todo="ask that user to run 'gonio rig stop'"
+                "another user owns the machine",
+                where=str(path),
+                todo="have that user run 'gonio rig stop', or remove the file if his program is dead",
             ) from error
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -121,7 +122,6 @@ class PortOwner:
             "pid": os.getpid(),
             "port": self._listener.getsockname()[1],
             "token": self._token,
-            "user": getpass.getuser(),
         }
         for _ in range(2):
             try:

@@ -104,8 +104,8 @@ def test_overhead_of_a_move_and_a_shot(shared_rig: Rig) -> None:
             machine.shoot(f"quick-{index}", 0.001)
             moves.append(moved - began)
             shots.append(time.monotonic() - moved)
-    assert sorted(moves)[2] < 0.05
-    assert sorted(shots)[2] < 0.15
+    assert sorted(moves)[2] < 0.15
+    assert sorted(shots)[2] < 0.3
 
 
 def test_an_exception_leaves_dark_and_still(shared_twin: Twin, shared_rig: Rig) -> None:
