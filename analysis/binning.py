@@ -72,7 +72,9 @@ class Bins:
 
     def centres_px(self) -> tuple[Float, Float]:
         """Give the bins' centres: rows (R,) and columns (C,), pixels; the first pixel's centre is 0."""
-        rows, cols = (np.arange(n) * self.size_px + (self.size_px - 1) / 2 for n in self.shape)
+        rows, cols = (
+            np.arange(n, dtype=np.float64) * self.size_px + (self.size_px - 1) / 2 for n in self.shape
+        )
         return rows, cols
 
 
@@ -236,7 +238,8 @@ class _Channel:
 def _sums(bins: Bins, mask: Bool, *values: Float) -> tuple[Float, ...]:
     """Sum each (H, W) array of `values` over the masked pixels of each bin; returns (B,) arrays."""
     index = bins.index[mask]
-    return tuple(np.bincount(index, weights=value[mask], minlength=bins.count) for value in values)
+    sums = (np.bincount(index, weights=value[mask], minlength=bins.count) for value in values)
+    return tuple(np.asarray(total, dtype=np.float64) for total in sums)
 
 
 def _centroid(bins: Bins, usable: Bool, weight: Float, row: Float, col: Float) -> tuple[Float, Float]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
     from matplotlib.axes import Axes
+    from matplotlib.ticker import Locator
     from numpy.typing import NDArray
 
     from analysis.evaluation import Evaluation
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 
     Float = NDArray[np.float64]
 
-IN_PLANE_RAD = np.deg2rad(1.2)
-NEAR_INCIDENCE_RAD = np.deg2rad(0.6)
+IN_PLANE_RAD = np.deg2rad(0.25)
+NEAR_INCIDENCE_RAD = np.deg2rad(0.25)
 MAX_LOBES = 5
 MAX_POINTS = 12_000
 WIDTH_IN = 7.2
@@ -70,21 +71,21 @@ def frame(radiance: Float, variance: Float, flags: NDArray[np.integer], channel:
     """
     from matplotlib.colors import LogNorm
 
-    with np.errstate(invalid="ignore", divide="ignore"):
-        noise_percent = 100 * np.sqrt(variance) / np.abs(radiance)
-    shown = noise_percent[np.isfinite(noise_percent) & (noise_percent > 0)]
+    noise_percent = _relative_noise_percent(radiance, variance)
+    shown = noise_percent[np.isfinite(noise_percent) & (noise_percent > 0) & (noise_percent < 100)]
     low, high = np.percentile(shown, [1, 99]) if shown.size else (0.1, 10.0)
+    high = max(high, 1.5 * low)
     with figure(WIDTH_IN, 2.35) as drawn:
         panels = drawn.subplots(1, 3)
         panels[0].imshow(_picture(radiance, channel), interpolation="nearest")
         panels[0].set_title("Radiance")
         image = panels[1].imshow(
-            noise_percent, cmap="cividis", norm=LogNorm(low, max(high, low * 1.5)), interpolation="nearest"
+            noise_percent, cmap="cividis", norm=LogNorm(low, high), interpolation="nearest"
         )
         panels[1].set_title("Relative noise, %")
         bar = drawn.colorbar(image, ax=panels[1], shrink=0.72, pad=0.03)
         bar.ax.yaxis.set_major_formatter("{x:g}")
-        bar.ax.yaxis.set_minor_formatter("{x:g}")
+        bar.ax.yaxis.set_minor_formatter("{x:g}" if high < 8 * low else "")
         bar.ax.tick_params(which="both", labelsize=7)
         _draw_flags(panels[2], flags)
         for axes in panels:
@@ -94,14 +95,25 @@ def frame(radiance: Float, variance: Float, flags: NDArray[np.integer], channel:
         return to_svg(drawn)
 
 
+def _quads(values: Float) -> Float:
+    """Give a mosaic's quads as (H/2, W/2, 4): row by row within each."""
+    rows, cols = values.shape[0] // 2 * 2, values.shape[1] // 2 * 2
+    quads: Float = values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2)
+    return quads.reshape(rows // 2, cols // 2, 4)
+
+
+def _relative_noise_percent(radiance: Float, variance: Float) -> Float:
+    """Give the relative standard uncertainty of a quad's pixels, their root mean square, in percent."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative: Float = np.sqrt(np.mean(_quads(variance) / _quads(radiance) ** 2, axis=-1))
+    return 100 * relative
+
+
 def _picture(radiance: Float, channel: NDArray[np.intp]) -> Float:
     """Quads of the mosaic as sRGB-encoded picture elements (H/2, W/2, 3), the 99.5th percentile at white."""
     from colour import cctf_encoding
 
-    rows, cols = radiance.shape[0] // 2 * 2, radiance.shape[1] // 2 * 2
-    blocks = (
-        radiance[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(rows // 2, -1, 4)
-    )
+    blocks = _quads(radiance)
     sites = channel[:2, :2].ravel()
     planes = [blocks[..., sites == index].mean(axis=-1) for index in range(int(channel.max()) + 1)]
     linear = np.stack(planes if len(planes) == 3 else planes[:1] * 3, axis=-1)
@@ -111,8 +123,9 @@ def _picture(radiance: Float, channel: NDArray[np.intp]) -> Float:
 
 
 def _draw_flags(axes: Axes, flags: NDArray[np.integer]) -> None:
-    from capture.merge import Flag
     from matplotlib.lines import Line2D
+
+    from capture.merge import Flag
 
     axes.imshow(np.full((*flags.shape, 3), 0.955), interpolation="nearest")
     handles = []
@@ -142,7 +155,7 @@ def incidences(samples: xr.Dataset) -> list[float]:
     """Choose the angles of incidence whose in-plane scans hold the most camera angles, radians, ascending."""
     view = view_angles(samples["wi"].to_numpy(), samples["wo"].to_numpy())
     in_plane = np.abs(view.off_plane) < IN_PLANE_RAD
-    grid = np.deg2rad(np.arange(0.0, 90.0, 0.5))
+    grid = _light_stations(samples, view.theta_i)
     richness = []
     for theta in grid:
         near = in_plane & (np.abs(view.theta_i - theta) < NEAR_INCIDENCE_RAD)
@@ -153,6 +166,15 @@ def incidences(samples: xr.Dataset) -> list[float]:
         if apart and richness[index] >= 4 and len(chosen) < MAX_LOBES:
             chosen.append(float(grid[index]))
     return sorted(chosen)
+
+
+def _light_stations(samples: xr.Dataset, theta_i: Float) -> Float:
+    """Give the angles at which the light stood: each pose's median, else every quarter of a degree."""
+    if "pose" not in samples:
+        return np.deg2rad(np.arange(0.0, 90.0, 0.25))
+    pose = samples["pose"].to_numpy()
+    medians = [np.round(np.median(theta_i[pose == number]), 3) for number in np.unique(pose)]
+    return np.asarray(np.unique(medians), dtype=np.float64)
 
 
 def lobes(samples: xr.Dataset, models: Mapping[str, Model], channel: int) -> bytes:
@@ -178,15 +200,15 @@ def lobes(samples: xr.Dataset, models: Mapping[str, Model], channel: int) -> byt
             angle_deg = np.rad2deg(view.signed_theta_o[near])
             colour = SERIES[index % len(SERIES)]
             axes.errorbar(
-                angle_deg, value[near], 2 * u[near], fmt="o", ms=2.8, mew=0, color=colour, elinewidth=0.6, alpha=0.8,
-                label=f"$\\theta_i$ = {np.rad2deg(centre):.1f}°",
+                angle_deg, value[near], 2 * u[near], fmt="o", ms=2.8, mew=0, color=colour, elinewidth=0.6,
+                alpha=0.8, label=f"$\\theta_i$ = {np.rad2deg(centre):.1f}°",
             )  # fmt: skip
             for style, model in zip(("-", "--", ":", "-."), models.values(), strict=False):
                 curve = _in_plane_curve(model, centre, scan, channel)
                 seen = (np.rad2deg(scan) > angle_deg.min() - 4) & (np.rad2deg(scan) < angle_deg.max() + 4)
                 axes.plot(np.rad2deg(scan[seen]), curve[seen], style, color=colour, lw=1.0)
         axes.axvline(0, color=FAINT, lw=0.6)
-        _scale_values(axes, value[np.isfinite(value)])
+        _scale_values(axes, value[np.isfinite(value) & (np.abs(view.off_plane) < IN_PLANE_RAD)])
         axes.set_xlabel(
             "camera angle $\\theta_o$ in the plane of incidence, degrees; positive on the mirror's side"
         )
@@ -200,7 +222,7 @@ def lobes(samples: xr.Dataset, models: Mapping[str, Model], channel: int) -> byt
         return to_svg(drawn)
 
 
-def _every(step: float) -> object:
+def _every(step: float) -> Locator:
     from matplotlib.ticker import MultipleLocator
 
     return MultipleLocator(step)
@@ -217,6 +239,10 @@ def _scale_values(axes: Axes, values: Float) -> None:
     """Logarithmic where the values span more than a decade and are all positive; from zero otherwise."""
     if values.size and values.min() > 0 and values.max() > 12 * values.min():
         axes.set_yscale("log")
+    elif values.size and values.max() - values.min() < 0.2 * np.abs(values).max():
+        # Nearly constant: from zero, neither bars nor departures would show.
+        margin = max(float(values.max() - values.min()), 0.02 * float(values.max()))
+        axes.set_ylim(float(values.min()) - margin, float(values.max()) + margin)
     elif values.size:
         axes.set_ylim(min(0.0, 1.1 * float(values.min())), 1.15 * float(values.max()))
 
@@ -257,7 +283,7 @@ def _draw_pulls(axes: Axes, pull: Float) -> None:
         axes.set_title("Pulls: no stated uncertainty")
         return
     edges = np.linspace(-5, 5, 61)
-    axes.hist(np.clip(finite, -5, 5), bins=edges, density=True, color=RULE_FILL, edgecolor="none")
+    axes.hist(np.clip(finite, -5, 5), bins=edges.tolist(), density=True, color=RULE_FILL, edgecolor="none")
     axes.plot(edges, np.exp(-0.5 * edges**2) / np.sqrt(2 * np.pi), color=ACCENT, lw=1.1)
     axes.set_title(f"Pulls: s.d. {np.std(np.clip(finite, -5, 5)):.2f}, N(0, 1) in red")
 
@@ -281,6 +307,8 @@ def budget(samples: xr.Dataset, evaluation: Evaluation) -> bytes:
             medians[medians <= 0] = np.nan
             axes.plot(middle, medians, "-o", ms=2.6, lw=1.0, color=SERIES[index], label=name)
         axes.set_yscale("log")
+        top = axes.get_ylim()[1]
+        axes.set_ylim(max(axes.get_ylim()[0], 1e-4 * top), top)
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xlim(left=0)
         axes.set_xlabel("half-vector angle $\\theta_h$, degrees")

@@ -196,7 +196,8 @@ def reduce_pose(
     """
     options = options or Options()
     sample, white = images.sample, images.white
-    bins = make_bins(*sample.radiance.shape, options.bin_px)
+    height, width = sample.radiance.shape
+    bins = make_bins(height, width, options.bin_px)
     sample_geometry = pixel_geometry(rig, sample.angles_rad)
     same_pose = np.array_equal(sample.angles_rad, white.angles_rad)
     white_geometry = sample_geometry if same_pose else pixel_geometry(rig, white.angles_rad)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,7 +61,7 @@ def figure(width_in: float, height_in: float) -> Iterator[Figure]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(cast("Any", _STYLE)):
         drawn = Figure(figsize=(width_in, height_in), layout="constrained")
         FigureCanvasAgg(drawn)
         yield drawn

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 class WhiteReference(Protocol):
     """What a reduction asks of a white: its f_r is `rho(wi, wo) / pi`."""
 
-    u_rho: float
-    """Standard uncertainty of rho, common to all directions and channels."""
+    @property
+    def u_rho(self) -> float:
+        """Standard uncertainty of rho, common to all directions and channels."""
+        ...
 
     def rho(self, wi: Float, wo: Float) -> Float:
         """Reflectance factor for unit directions wi, wo (..., 3); shape (...)."""

@@ -200,7 +200,7 @@ def test_joint_columns_predict_a_turned_joint(
 
 
 def test_assembled_table_states_everything(default_rig: Rig, reduce_one: Callable[..., PoseSamples]) -> None:
-    """Catches white groups shared by different bins, lost solid angles, poses mixed up, a table that varies."""
+    """Catches white groups shared by different bins, lost solid angles, mixed poses, a table that varies."""
     parts = []
     for number, pose in enumerate([(45.0, 20.0), (60.0, 10.0)]):
         angles = _angles(default_rig, *pose)

@@ -1,0 +1,164 @@
+"""From a session to what its page shows: fits, the frame worth showing, the rendered sphere, provenance."""
+
+from __future__ import annotations
+
+import io
+import platform
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.fit import fit
+from analysis.models import MODELS
+from analysis.report import Measurement, ShownFrame
+from analysis.session_images import SessionImages
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import xarray as xr
+    from numpy.typing import ArrayLike
+
+    from analysis.fit import FitResult
+    from analysis.models.base import Model
+    from capture.session import Session
+    from rig.description import Rig
+
+SPHERE_PX = 360
+VERSIONS = ("gonio", "numpy", "scipy", "mitsuba", "bluesky")
+
+
+def fit_models(samples: xr.Dataset, names: Sequence[str] | None) -> list[FitResult]:
+    """Fit the models asked for, or all, of which the one with the smallest rms_log and Lambert are kept."""
+    if names:
+        for name in names:
+            if name not in MODELS:
+                raise BadInput(
+                    f"unknown model '{name}'", where="--model", todo=f"choose from {', '.join(MODELS)}"
+                )
+        return [fit(samples, name) for name in dict.fromkeys(names)]
+    ranked = sorted((fit(samples, name) for name in MODELS), key=lambda fitted: fitted.metrics["rms_log"])
+    return ranked[:1] + [fitted for fitted in ranked[1:] if fitted.model.NAME == "lambert"]
+
+
+def measurement_of(
+    session: Session,
+    samples: xr.Dataset,
+    fits: Sequence[FitResult],
+    *,
+    title: str = "",
+    truth: Mapping[str, ArrayLike] | None = None,
+) -> Measurement:
+    """Collect what a page shows of one session.
+
+    Parameters
+    ----------
+    session : Session
+        The opened session.
+    samples : Dataset
+        Its samples.
+    fits : sequence of FitResult
+        Models fitted to them, the one to discuss first.
+    title : str
+        The sample's name; by default the session's.
+    truth : mapping of str to float or (C,), optional
+        True parameters of the first model, where known.
+    """
+    images = SessionImages(session)
+    return Measurement(
+        title=title or session.name,
+        samples=samples,
+        fits=fits,
+        truth=truth,
+        frame=_frame_to_show(session, samples, images),
+        sphere_png=sphere_png(fits[0].model) if fits else None,
+        exposure_s=images.exposures(),
+        facts=session_facts(session, samples),
+    )
+
+
+def sphere_png(model: Model) -> bytes:
+    """Render a sphere of a fitted model, lit by a small lamp and a dim sky, on white; as PNG."""
+    from colour import cctf_encoding
+    from matplotlib.image import imsave
+
+    from simulator.sphere import render_sphere
+
+    parameters = {parameter.name: getattr(model, parameter.name) for parameter in model.PARAMETERS}
+    linear = render_sphere(model.NAME, SPHERE_PX, parameters=_three_channels(parameters), background=1.0)
+    encoded = np.clip(cctf_encoding(np.clip(linear, 0.0, 1.0), "sRGB"), 0.0, 1.0)
+    buffer = io.BytesIO()
+    imsave(buffer, encoded, format="png", metadata={"Software": "gonio"})
+    return buffer.getvalue()
+
+
+def machine_facts(rig: Rig) -> dict[str, str]:
+    """Name the machine and the software, for the page's head."""
+    lamp, camera = rig.lamp, rig.camera
+    return {
+        "Machine": rig.name,
+        "Rig hash": rig.hash,
+        "Lamp": f"{lamp.distance_mm:g} mm away, {lamp.diameter_mm:g} mm wide, exposure timed by {lamp.mode}",
+        "Camera": (
+            f"{camera.width_px} × {camera.height_px} pixels, {camera.distance_mm:g} mm away, pupil "
+            f"{camera.aperture_diameter_mm:g} mm, serial {camera.serial or 'not stated'}"
+        ),
+        "White": f"ρ = {rig.white.rho:g}, u = {rig.white.u_rho:g}, Lambertian",
+        "Versions": ", ".join(f"{name} {version(name)}" for name in VERSIONS)
+        + f", Python {platform.python_version()}",
+    }
+
+
+def session_facts(session: Session, samples: xr.Dataset) -> dict[str, str]:
+    """Say what was measured, when, and from which frames."""
+    facts = {"Session": session.name}
+    created = getattr(session, "created", None)
+    if created:
+        facts["Measured"] = str(created)
+    poses = np.unique(samples["pose"].to_numpy()).size
+    facts["Extent"] = (
+        f"{poses} poses, {samples.sizes['sample']} direction pairs, {samples.sizes['channel']} channels"
+    )
+    facts["Solid angles"] = (
+        f"source {samples.attrs['source_solid_angle_sr']:.3g} sr, "
+        f"receiver {samples.attrs['receiver_solid_angle_sr']:.3g} sr"
+    )
+    facts["SHA-256 of the frames"] = str(samples.attrs.get("frames_sha256", "not recorded"))
+    return facts
+
+
+def _three_channels(parameters: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """Fit parameters to a picture's three channels: the first channel alone where there are not three."""
+    return {
+        name: value if np.size(value) in {1, 3} else float(np.atleast_1d(np.asarray(value))[0])
+        for name, value in parameters.items()
+    }
+
+
+def _frame_to_show(session: Session, samples: xr.Dataset, images: SessionImages) -> ShownFrame:
+    """Choose the pose whose samples differ most within one image: a lobe crosses it."""
+    pairs = {pair.sample.index: pair.sample for pair in images.pairs()}
+    pose = samples["pose"].to_numpy()
+    value = np.nanmean(np.where(np.isfinite(samples["f_r"]), samples["f_r"], np.nan), axis=1)
+    contrast = {}
+    for index in pairs:
+        seen = value[pose == index]
+        if seen.size > 20:
+            low, high = np.percentile(seen, [5, 95])
+            contrast[index] = high - low
+    best = max(contrast, key=lambda index: contrast[index]) if contrast else min(pairs)
+    record = pairs[best]
+    times = sorted({frame.exposure_s for frame in record.frames if frame.lit})
+    angles = ", ".join(
+        f"{joint.name.replace('_', ' ')} {np.rad2deg(angle):.2f}°"
+        for joint, angle in zip(session.rig.arm_joints, record.angles_rad, strict=True)
+    )
+    caption = f"Pose {best} ({angles}), merged from {_listed(times)} s"
+    return ShownFrame(images.image(record), images.mosaic().channel, caption)
+
+
+def _listed(times: Sequence[float]) -> str:
+    texts = [f"{time:.3g}" for time in times]
+    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"
