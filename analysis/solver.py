@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.descent import descend
 from analysis.models.base import Geometry, Kind, Parameter
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 STARTS = 4
 """Basins of the scan that are followed to their bottom."""
 TOLERANCE = 1e-11
+ROUGH_TOLERANCE = 1e-5
+MOST_STEPS = 300
 DEGENERATE = 1e-12
 """Squared sine between the two scaled columns below which they count as one."""
 
@@ -161,9 +164,11 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     projected = [_refine_projected(problem, loss.weight(), loss.data, shapes) for shapes in starts]
     if loss.linear:
         return min(projected, key=lambda solution: solution.cost)
-    # Neighbouring starts often meet in one point: only distinct ones are worth a search of all parameters.
+    # Neighbouring starts often meet in one point: only distinct ones are worth a search of all parameters,
+    # and only the best of those is worth the last digits.
     distinct = _distinct(sorted(projected, key=lambda solution: solution.cost))
-    return min((_refine_all(problem, loss, solution) for solution in distinct), key=lambda s: s.cost)
+    rough = [_refine_all(problem, loss, solution, ROUGH_TOLERANCE) for solution in distinct]
+    return _refine_all(problem, loss, min(rough, key=lambda solution: solution.cost), TOLERANCE)
 
 
 def _scan(problem: Problem, weight: Array, data: Array) -> list[Array]:
@@ -188,7 +193,6 @@ def _scan(problem: Problem, weight: Array, data: Array) -> list[Array]:
 
 def _refine_projected(problem: Problem, weight: Array, data: Array, shapes: Array) -> Solution:
     """Refine the shapes with the scales solved for at every step (Golub & Pereyra 1973; Kaufman 1975)."""
-    from scipy.optimize import least_squares
 
     def residual(x: Array) -> Array:
         lobe, _ = problem.lobe(x)
@@ -208,11 +212,7 @@ def _refine_projected(problem: Problem, weight: Array, data: Array, shapes: Arra
         return np.stack(columns, axis=1)
 
     if problem.shapes:
-        low, high = problem.bounds()
-        inside = np.clip(shapes, low + 1e-9, high - 1e-9)
-        tolerances = {"ftol": TOLERANCE, "xtol": TOLERANCE, "gtol": TOLERANCE}
-        found = least_squares(residual, inside, jac=jacobian, bounds=(low, high), max_nfev=200, **tolerances)
-        shapes = np.asarray(found.x)
+        shapes = descend(residual, jacobian, shapes, problem.bounds(), tolerance=TOLERANCE, most=MOST_STEPS).x
     lobe, _ = problem.lobe(shapes)
     kd, ks = solve_scales(weight, data, lobe, has_lobe=problem.has_lobe)
     return Solution(shapes, kd, ks, 0.5 * float(np.sum(np.square(residual(shapes)))))
@@ -303,10 +303,8 @@ def _size(weight: Array, lobe: Array, slopes: list[Array]) -> tuple[Array, Array
     return np.sqrt(square), np.array(relative).reshape(len(slopes), weight.shape[1])
 
 
-def _refine_all(problem: Problem, loss: Loss, start: Solution) -> Solution:
+def _refine_all(problem: Problem, loss: Loss, start: Solution, tolerance: float) -> Solution:
     """Search shapes and scales together, for losses that are not linear in f."""
-    from scipy.optimize import least_squares
-
     weight = loss.weight()
     shape_count, channels = len(start.shapes), problem.channels
 
@@ -328,18 +326,18 @@ def _refine_all(problem: Problem, loss: Loss, start: Solution) -> Solution:
     size = _size(weight, problem.lobe(start.shapes)[0], [])[0]
     low, high = problem.bounds()
     scales = [start.kd, start.ks * size] if problem.has_lobe else [start.kd]
-    unbounded = np.concatenate([low, *(np.zeros(channels) for _ in scales)])
-    upper = np.concatenate([high, *(np.full(channels, np.inf) for _ in scales)])
-    # The solver starts strictly inside its bounds.
-    inside = np.concatenate(
-        [np.clip(start.shapes, low + 1e-9, high - 1e-9), *(np.maximum(s, 1e-9) for s in scales)]
+    lowest = np.concatenate([low, *(np.zeros(channels) for _ in scales)])
+    highest = np.concatenate([high, *(np.full(channels, np.inf) for _ in scales)])
+    found = descend(
+        residual,
+        jacobian,
+        np.concatenate([start.shapes, *scales]),
+        (lowest, highest),
+        tolerance=tolerance,
+        most=MOST_STEPS,
     )
-    tolerances = {"ftol": TOLERANCE, "xtol": TOLERANCE, "gtol": TOLERANCE}
-    found = least_squares(
-        residual, inside, jac=jacobian, bounds=(unbounded, upper), x_scale="jac", max_nfev=300, **tolerances
-    )
-    shapes, kd, ks = unpack(np.asarray(found.x))
-    return Solution(shapes, kd, ks, float(found.cost))
+    shapes, kd, ks = unpack(found.x)
+    return Solution(shapes, kd, ks, found.cost)
 
 
 def _evaluate(problem: Problem, shapes: Array, kd: Array, ks: Array) -> Array:

@@ -1,0 +1,69 @@
+"""The bounded least-squares search against a library's, and on a bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from analysis.descent import descend
+
+
+def rosenbrock(x):
+    """Return the residuals of the curved valley."""
+    return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+
+def rosenbrock_slopes(x):
+    """Return their derivatives."""
+    return np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        ((-9.0, -9.0), (9.0, 9.0)),
+        ((-9.0, -9.0), (0.5, 9.0)),
+        ((-9.0, 1.5), (9.0, 9.0)),
+        ((-9.0, -9.0), (9.0, -1.0)),
+    ],
+)
+def test_rosenbrock_in_boxes(low, high):
+    """Catches a step that crosses a bound, or a parameter that never leaves one again."""
+    bounds = (np.array(low), np.array(high))
+    start = np.clip([-1.2, 1.0], *bounds)
+    found = descend(rosenbrock, rosenbrock_slopes, start, bounds, tolerance=1e-14, most=500)
+    reference = least_squares(
+        rosenbrock, np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6), rosenbrock_slopes, bounds=bounds,
+        ftol=1e-14, xtol=1e-14, gtol=1e-14, max_nfev=2000,
+    )  # fmt: skip
+    assert np.all((found.x >= bounds[0]) & (found.x <= bounds[1]))
+    assert found.cost <= reference.cost * (1.0 + 1e-9) + 1e-18
+    np.testing.assert_allclose(found.x, reference.x, atol=1e-5)
+
+
+def test_linear_problems_with_bounds_end_exactly():
+    """Catches a scale that should be zero and is left at a small number."""
+    random = np.random.default_rng(0)
+    matrix, target = random.standard_normal((50, 6)), random.standard_normal(50)
+    bounds = (np.zeros(6), np.full(6, np.inf))
+    found = descend(
+        lambda x: matrix @ x - target, lambda _: matrix, np.ones(6), bounds, tolerance=1e-15, most=200
+    )
+    from scipy.optimize import nnls
+
+    best, _ = nnls(matrix, target)
+    assert np.any(best == 0.0)
+    np.testing.assert_array_equal(found.x == 0.0, best == 0.0)
+    np.testing.assert_allclose(found.x, best, atol=1e-8)
+
+
+def test_a_parameter_without_effect_stays():
+    """Catches a singular matrix where one parameter does nothing."""
+    slopes = np.array([[1.0, 0.0], [2.0, 0.0]])
+    bounds = (np.full(2, -9.0), np.full(2, 9.0))
+    found = descend(
+        lambda x: slopes @ x - np.array([1.0, 2.0]), lambda _: slopes, np.array([0.0, 3.0]), bounds,
+        tolerance=1e-12, most=50,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.x, [1.0, 3.0], atol=1e-5)
