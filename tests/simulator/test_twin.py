@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminal
 TORQUE, GOAL, MOVING, PRESENT = 64, 116, 122, 132
 
 
-class PatientPort(PortHandler):  # type: ignore[misc]
+class PatientPort(PortHandler):
     """The SDK's port, but for its deadline of 34 ms, in which a busy test machine may not get to us."""
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
