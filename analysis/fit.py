@@ -136,14 +136,14 @@ def fit(
     u = _total(data, []) if data.stated else None
     goal = make_loss(loss, data.f_r, data.used, data.cos_i, u)
     solution = minimise(problem, goal)
-    poses = uncertainty.shared_by_pose(samples, _model(problem, solution)) if data.stated else []
+    poses = uncertainty.shared_by_pose(data.samples, _model(problem, solution)) if data.stated else []
     if poses:
         # The pose's part needs the model's gradient: weigh once more with that of the first solution.
         u = _total(data, poses)
         if loss == "chi2":
             goal = make_loss(loss, data.f_r, data.used, data.cos_i, u)
             solution = minimise(problem, goal, solution)
-            poses = uncertainty.shared_by_pose(samples, _model(problem, solution))
+            poses = uncertainty.shared_by_pose(data.samples, _model(problem, solution))
     return _result(data, problem, goal, solution, u=u, poses=poses)
 
 

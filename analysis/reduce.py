@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     import xarray as xr
-    from capture.session import Session
     from numpy.typing import NDArray
 
     from analysis.session_images import PosePair
+    from capture.session import Session
     from rig.description import Rig
 
     Float = NDArray[np.float64]
@@ -180,9 +180,8 @@ def assemble(
         d_wi=joined("d_wi"),
         d_wo=joined("d_wo"),
         u_joint_rad=joint_resolution(rig),
+        joint_group=np.repeat(np.array([pose.ticks for pose in poses]), counts, axis=0),
     )
-    ticks = np.repeat(np.array([pose.ticks for pose in poses]), counts, axis=0)
-    samples["joint_group"] = (("sample", "joint"), ticks, {"units": "1"})
     samples.attrs |= {f"option_{name}": value for name, value in asdict(options).items()}
     samples.attrs |= _totals("pixels", [part.pixel_flags for part in parts])
     samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])

@@ -16,7 +16,8 @@ white_group     sample             1     number of the group
 u_reference     sample, channel    1/sr  one error for the session and all channels: white's rho
 pose            sample             1     number of the pose
 d_wi, d_wo      sample, joint, xyz 1/rad change of the directions per radian of each joint
-u_joint_rad     joint              rad   uncertainty of each joint, drawn anew at each pose
+u_joint_rad     joint              rad   uncertainty of each joint, one error in each `joint_group`
+joint_group     sample, joint      1     number of the group, the encoder's step; without it the pose
 =============== ================== ===== =======================================================
 
 Only the first three are required. Coordinates: `channel` (names) and, where known, `wavelength_nm` (channel).
@@ -60,6 +61,7 @@ UNITS = {
     "d_wi": "1/rad",
     "d_wo": "1/rad",
     "u_joint_rad": "rad",
+    "joint_group": "1",
 }
 DIMENSIONS: dict[str, tuple[str, ...]] = {
     "wi": ("sample", "xyz"),
@@ -69,9 +71,10 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "d_wi": ("sample", "joint", "xyz"),
     "d_wo": ("sample", "joint", "xyz"),
     "u_joint_rad": ("joint",),
+    "joint_group": ("sample", "joint"),
 }
 PER_CHANNEL = ("sample", "channel")
-INTEGERS = ("flags", "white_group", "pose")
+INTEGERS = ("flags", "white_group", "pose", "joint_group")
 UNIT_TOLERANCE = 1e-6
 EXACT = 1e-12
 

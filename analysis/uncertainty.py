@@ -3,7 +3,8 @@
 An error of size u that n samples share does not average out over them. Each column therefore knows its group:
 noise and binning belong to one sample and channel; the white's noise to all samples that were divided by the
 same white pixels; the white's reflectance to the whole session and all channels; a joint's angle to all
-samples and channels of one pose. (GUM, JCGM 100:2008, section 5.2: correlated input quantities.)
+samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
+100:2008, section 5.2: correlated input quantities.)
 """
 
 from __future__ import annotations
@@ -114,9 +115,11 @@ def shared_by_pose(samples: xr.Dataset, model: Model) -> list[SharedError]:
         return []
     wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
     d_wi, d_wo = samples["d_wi"].to_numpy(), samples["d_wo"].to_numpy()
-    group = _dense(samples["pose"].to_numpy())
     errors = []
     for joint, u_rad in enumerate(samples["u_joint_rad"].to_numpy()):
+        # Poses that hold a joint at the same encoder step share that step's error.
+        shared_by = samples["joint_group"][:, joint] if "joint_group" in samples else samples["pose"]
+        group = _dense(shared_by.to_numpy())
         slope = directional_slope(model, wi, wo, d_wi[:, joint], d_wo[:, joint])
         errors.append(SharedError(f"joint {joint}", u_rad * slope, group, across_channels=True))
     return errors
@@ -173,13 +176,18 @@ def meat(scores: Array, own: Array, shared: Iterable[SharedError]) -> Array:
         Sum over independent data and over groups of outer products.
     """
     count, channels, parameters = scores.shape
-    flat = (scores * own[..., None]).reshape(-1, parameters)
+    flat = _scaled(scores, own).reshape(-1, parameters)
     total = flat.T @ flat
     for error in shared:
-        weighted = scores * np.broadcast_to(error.column, (count, channels))[..., None]
+        weighted = _scaled(scores, np.broadcast_to(error.column, (count, channels)))
         parts = [weighted.sum(axis=1)] if error.across_channels else [weighted[:, c] for c in range(channels)]
         for part in parts:
             sums = np.zeros((int(error.group.max()) + 1, parameters))
             np.add.at(sums, error.group, part)
             total += sums.T @ sums
     return total
+
+
+def _scaled(scores: Array, column: Array) -> Array:
+    """Scores (N, C, P) times a column (N, C); unused data have score 0 and may state no uncertainty."""
+    return np.asarray(scores * np.where(np.isfinite(column), column, 0.0)[..., None])

@@ -116,7 +116,7 @@ def measure(bench: Bench, sample: DemoSample) -> xr.Dataset:
         images = PoseImages(*(bench.image(name, true, measured) for name in (sample.station, "white")))
         reduced = reduce_pose(rig, images, mosaic, reference, u_joint_rad=u_joint, options=options)
         poses.append(ReducedPose(number, number, ticks, reduced))
-    return assemble(rig, poses, CHANNELS, options=options, source=sample.name).fillna(0.0)  # XXX
+    return assemble(rig, poses, CHANNELS, options=options, source=sample.name)
 
 
 def recovered(seed: int) -> list[tuple[str, Row]]:
