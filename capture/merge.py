@@ -250,13 +250,26 @@ class _Job:
             samples, self.noise.gain_dn_per_e, rate, self.dark.common_dn2, iterations=self.iterations
         )
         self.radiance[rows], self.variance[rows] = found.radiance, found.variance
-        over = (flags & Flag.OVER_RANGE) != 0
-        flags[(found.radiance < np.sqrt(found.variance)) & ~over] |= np.uint8(Flag.UNDER_RANGE)
-        flags[found.chi_square > self.limits[number]] |= np.uint8(Flag.INCONSISTENT)
+        under = found.radiance < np.sqrt(found.variance)
+        under &= (flags & np.uint8(Flag.OVER_RANGE)) == 0
+        _set(flags, under, Flag.UNDER_RANGE)
+        self._flag_inconsistent(found.chi_square, number, flags)
         if self.dark.hot is not None:
-            flags[self.dark.hot[rows]] |= np.uint8(Flag.HOT)
+            _set(flags, self.dark.hot[rows], Flag.HOT)
 
-    def _samples(self, rows: slice, flags: NDArray[np.uint8]) -> tuple[list[Sample], NDArray[np.intp] | int]:
+    def _flag_inconsistent(
+        self, chi_square: NDArray[np.floating], number: NDArray[np.uint16] | int, flags: NDArray[np.uint8]
+    ) -> None:
+        # Few pixels pass the limit of two samples, the lowest: only these are looked up by their number.
+        rows, cols = np.nonzero(chi_square > self.limits[2:].min(initial=np.inf))
+        if rows.size:
+            numbers = number if isinstance(number, int) else number[rows, cols]
+            beyond = chi_square[rows, cols] > self.limits[numbers]
+            flags[rows[beyond], cols[beyond]] |= np.uint8(Flag.INCONSISTENT)
+
+    def _samples(
+        self, rows: slice, flags: NDArray[np.uint8]
+    ) -> tuple[list[Sample], NDArray[np.uint16] | int]:
         """Return the samples of a block that have any weight, and how many count at each pixel."""
         dtype = self.radiance.dtype
         samples, whole = [], 0
@@ -269,20 +282,20 @@ class _Job:
                 if weight.any():
                     self._reject_neighbours(level, weight, flags)
             whole += weight is None
-            level -= _part(self.dark.level_dn[index], rows)
+            level -= _part(self.dark.level_dn[index], rows).astype(dtype, copy=False)
             floor = self.noise.floor_dn2 + self.dark.variance_dn2[index]
             samples.append(Sample(level, weight, self.stack.exposure_s[index], floor))
         if all(sample.weight is None for sample in samples):
             return samples, whole
-        if (flags & Flag.NEIGHBOUR_CLIPPED).any():
+        if (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)).any():
             self._readmit(rows, samples, flags)
-        number = np.full(flags.shape, whole, dtype=np.intp)
+        number = np.full(flags.shape, whole, dtype=np.uint16)
         for sample in samples:
             if sample.weight is not None:
                 number += sample.weight > 0.0
         lost = number == 0
         if lost.any():
-            flags[lost] |= np.uint8(Flag.OVER_RANGE)
+            _set(flags, lost, Flag.OVER_RANGE)
             for index in self.stack.shortest:
                 weight = samples[index].weight
                 if weight is not None:
@@ -295,8 +308,8 @@ class _Job:
         clipped = self.ramp.clipped(level)
         if clipped.any():
             near = any_in_cell(clipped)
-            flags[near & (weight > 0.0)] |= np.uint8(Flag.NEIGHBOUR_CLIPPED)
-            weight[near] = 0.0
+            _set(flags, near & (weight > 0.0), Flag.NEIGHBOUR_CLIPPED)
+            np.putmask(weight, near, 0.0)
 
     def _readmit(self, rows: slice, samples: list[Sample], flags: NDArray[np.uint8]) -> None:
         """Take samples beside clipped ones back where the others alone tell less than these may be wrong."""
@@ -306,14 +319,19 @@ class _Job:
         )
         variance = self.noise.gain_dn_per_e * np.maximum(signal, 0.0) + floor
         poor = np.maximum(signal, 0.0) ** 2 * SUSPECT_ERROR**2 <= variance
-        poor &= (flags & Flag.NEIGHBOUR_CLIPPED) != 0
+        poor &= (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)) != 0
         if not poor.any():
             return
-        flags[poor] |= np.uint8(Flag.NEAR_CLIPPED_USED)
+        _set(flags, poor, Flag.NEAR_CLIPPED_USED)
         for frame, sample in zip(self.stack.counts, samples, strict=True):
             if sample.weight is not None:
                 own = self.ramp.weights(frame[rows].astype(self.radiance.dtype))
                 sample.weight[poor] = own[poor]
+
+
+def _set(flags: NDArray[np.uint8], where: NDArray[np.bool_], flag: Flag) -> None:
+    """Set a bit; a multiplication is much quicker than indexing by a mask."""
+    flags |= where.view(np.uint8) * np.uint8(flag)
 
 
 def _part(values: NDArray[Any], rows: slice) -> NDArray[Any]:
