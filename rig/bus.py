@@ -11,7 +11,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rig.control_table import CONTROL_TABLE
+from rig.control_table import CONTROL_TABLE, StatusError
 from rig.errors import DeviceLost, Transient
 from rig.packets import Reply, Wire, check, missing
 
@@ -86,7 +86,7 @@ class ServoBus:
         baud: int = 1_000_000,
         *,
         names: Mapping[int, str] | None = None,
-        timeout_s: float = 0.1,
+        timeout_s: float = 0.2,
         retries: int = 2,
     ) -> None:
         self.port, self.retries = port, retries
@@ -214,13 +214,13 @@ class ServoBus:
         self._submit(lambda wire: wire.sync_write(register.address, data), urgent=urgent)
 
     def _read_all(self, wire: Wire, servo_ids: Sequence[int], start: int, length: int) -> dict[int, Reply]:
-        replies = wire.sync_read(servo_ids, start, length)
+        replies = _intact(wire.sync_read(servo_ids, start, length))
         for _ in range(self.retries):
             lost = missing(servo_ids, replies)
             if not lost:
                 break
             wire.statistics.retries += 1
-            replies |= wire.sync_read(lost, start, length)
+            replies |= _intact(wire.sync_read(lost, start, length))
         return replies
 
     def _ask(
@@ -270,3 +270,8 @@ class ServoBus:
                 job.future.set_result(job.action(self._wire))
             except BaseException as error:  # noqa: BLE001 - whoever asked gets it
                 job.future.set_exception(error)
+
+
+def _intact(replies: dict[int, Reply]) -> dict[int, Reply]:
+    """Leave out servos that saw a corrupt request: they are asked again like those that are silent."""
+    return {servo_id: reply for servo_id, reply in replies.items() if reply.error != StatusError.CRC}

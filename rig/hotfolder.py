@@ -223,7 +223,7 @@ class HotFolder:
                     if entry.name.startswith(".") or suffix in PARTIAL_SUFFIXES or not entry.is_file():
                         continue
                     try:
-                        status = entry.stat()
+                        status = path.stat()  # entry.stat() shows stale sizes on Windows
                     except FileNotFoundError:
                         continue  # moved away between two system calls
                     yield path, (entry.name, status.st_size, status.st_mtime_ns)

@@ -224,6 +224,9 @@ class Machine:
     ) -> None:
         try:
             self.stop()
+        except KeyboardInterrupt:
+            self.stop()  # an impatient Ctrl-C does not cut a stop short
+            raise
         finally:
             self.close()
 

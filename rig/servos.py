@@ -165,9 +165,10 @@ class Servos:
         Raises
         ------
         Refused
-            If a goal lies outside the limits, is not taken by a servo, or the move is cancelled.
+            If a goal lies outside the limits, or the move is cancelled.
         Unsafe
-            If a servo is stuck, stops short, or reports a hardware error; the message names it.
+            If a servo does not take its goal, is stuck, stops short, or reports a hardware error; the message
+            names it.
         DeviceLost
             If a servo stops answering.
         """
@@ -265,7 +266,7 @@ class Servos:
     def _resend(self, goals: Mapping[int, int], resent: int) -> int:
         if resent >= RESEND_LIMIT:
             servo_id, goal = next(iter(goals.items()))
-            raise Refused(
+            raise Unsafe(
                 f"does not take the goal {goal} ticks",
                 where=self.bus.label(servo_id),
                 todo="run 'gonio rig check': its torque, mode or limits may have changed",

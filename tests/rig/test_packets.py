@@ -99,12 +99,12 @@ def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float)
         time.sleep(delay_s)
         return reply
 
-    with ServoBus(bench.port, retries=0) as once:
+    with ServoBus(bench.port, timeout_s=0.1, retries=0) as once:
         once.write(1, "profile_velocity", 77)
         bench.says = late_once
         with pytest.raises(DeviceLost):
             once.read(1, "present_position")
-    with ServoBus(bench.port, retries=3) as bus:
+    with ServoBus(bench.port, timeout_s=0.1, retries=3) as bus:
         bench.says = late_once
         assert bus.read(1, "profile_velocity") == 77
         assert bus.read(1, "present_position") == 2048

@@ -388,3 +388,20 @@ def test_a_predecessors_torque_is_kept(body: Callable[..., Body]) -> None:
     second.close()
     assert write_packet(1, "torque_enable", 0) not in one.heard
     assert sync_packet("torque_enable", {1: 0, 2: 0, 3: 0}) not in one.heard
+
+
+def test_a_goal_that_is_never_taken_is_unsafe(body: Callable[..., Body]) -> None:
+    """Catches arms of which some have moved and one has not, treated as a mere refusal."""
+    one = body()
+    one.servos.attach()
+    goal = sync_packet("goal_position", {2: 2300})
+    one.bench.hears = lambda data: b"" if goal in data else data
+    with pytest.raises(Unsafe, match=r"servo 2 \(camera_azimuth\).*does not take the goal 2300"):
+        one.servos.move({2: 2300})
+
+
+def test_a_quiet_servo_is_made_to_answer(body: Callable[..., Body]) -> None:
+    """Catches a servo that was told to answer pings only, taken for a lost one."""
+    one = body()
+    one.bench.servos[1]._registers.set("status_return_level", 0)
+    one.servos.handshake().require()
