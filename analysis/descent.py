@@ -53,8 +53,7 @@ def descend(
     bounds : tuple of ndarray, shape (P,)
         Lowest and highest values.
     tolerance : float
-        Ends when a step promises less than this share of the cost, or moves less than its root of each
-        parameter.
+        Ends when a step promises to lower the cost by less than this share of it.
     most : int
         Largest number of steps tried.
 

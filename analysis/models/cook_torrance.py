@@ -30,7 +30,7 @@ IOR = Parameter(
     minimum=1.0,
     default=1.5,
     coordinate=Coordinate.LOG_ABOVE_ONE,
-    scan=(1.02, 1.15, 1.5, 2.2, 5.0, 30.0),
+    scan=(1.02, 1.15, 1.5, 2.2, 5.0, 15.0, 100.0),
 )
 
 
