@@ -92,7 +92,9 @@ def _check(opened: xr.Dataset, path: Path) -> None:
     for name in ("wi", "wo", "f_r"):
         if name not in opened:
             raise BadInput(
-                f"has no variable {name}", where=str(path), todo="see the samples' layout in the manual"
+                f"has no variable {name}",
+                where=str(path),
+                todo="reduce the session again, or name the variables wi, wo, f_r",
             )
     total = sum(variable.size for variable in opened.variables.values())
     if total > MOST_VALUES:

@@ -1,4 +1,4 @@
-"""Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, and how well they fit.
+"""Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, goodness of fit.
 
 FILE is a session's folder, a gonio NetCDF or CSV table, a Cornell .brdf, an RT-300S .xls or an .npz of wi,
 wo, f_r; its content tells. Without --model all models are fitted and ranked by rms_log. Without
@@ -166,9 +166,8 @@ def _parameters(result: FitResult, channels: Sequence[str]) -> list[str]:
             ]
         else:
             largest = f"u <= {np.max(us):.2g}"
-            lines.append(
-                f"  {name:<14} {values.min():.4g} to {values.max():.4g} over {values.size} channels, {largest}"
-            )
+            span = f"{values.min():.4g} to {values.max():.4g}"
+            lines.append(f"  {name:<14} {span} over {values.size} channels, {largest}")
     if result.message:
         lines.append(f"  note: {result.message}")
     return lines

@@ -33,8 +33,8 @@ def direction(theta, phi):
 def pairs():
     """Return pairs of directions: random ones, and those at which formulas break."""
     random = np.random.default_rng(5)
-    theta_i, theta_o = np.arccos(random.uniform(0.01, 1.0, (2, 40)))
-    wi, wo = direction(theta_i, 0.0 * theta_i), direction(theta_o, random.uniform(-np.pi, np.pi, 40))
+    theta_i, theta_o = np.arccos(random.uniform(0.01, 1.0, (2, 20)))
+    wi, wo = direction(theta_i, 0.0 * theta_i), direction(theta_o, random.uniform(-np.pi, np.pi, 20))
     mirror = wi * np.array([-1.0, -1.0, 1.0])
     near = mirror + 1e-3 * random.standard_normal(mirror.shape)
     near /= np.linalg.norm(near, axis=-1, keepdims=True)
@@ -147,10 +147,10 @@ def test_shapes_broadcast(name):
     first = {p.name: p.default for p in model.PARAMETERS}
     second = {p.name: p.default * 1.3 for p in model.PARAMETERS}
     both = {key: np.array([first[key], second[key]]) for key in first}
-    f = model(**both).evaluate(wi[:100].reshape(4, 25, 3), wo[:100].reshape(4, 25, 3))
-    assert f.shape == (4, 25, 2)
-    np.testing.assert_array_equal(f[..., 0].ravel(), model(**first).evaluate(wi[:100], wo[:100])[:, 0])
-    np.testing.assert_array_equal(f[..., 1].ravel(), model(**second).evaluate(wi[:100], wo[:100])[:, 0])
+    f = model(**both).evaluate(wi[:80].reshape(4, 20, 3), wo[:80].reshape(4, 20, 3))
+    assert f.shape == (4, 20, 2)
+    np.testing.assert_array_equal(f[..., 0].ravel(), model(**first).evaluate(wi[:80], wo[:80])[:, 0])
+    np.testing.assert_array_equal(f[..., 1].ravel(), model(**second).evaluate(wi[:80], wo[:80])[:, 0])
     assert model(**first).evaluate(wi[0], wo[:5]).shape == (5, 1)
     one_shape = model(**(first | {"kd": [0.1, 0.2, 0.3]})).derivatives(wi, wo)
     assert {slope.shape for slope in one_shape.values()} == {(len(wi), 3)}
