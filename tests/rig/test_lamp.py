@@ -89,6 +89,11 @@ def test_off_disarms_only_after_the_light_is_off(bench: Any, lamp: Lamp) -> None
     assert lines.index("SYST:WDOG 0") > last_off
     assert "OUTP?" in lines[last_off:]
     assert not bench.light
+    time.sleep(0.25)
+    assert bench.lines == lines  # and the heart has stopped
+    lamp.on()
+    time.sleep(0.8)
+    assert bench.light
 
 
 def test_a_light_that_stays_on_is_unsafe(bench: Any, lamp: Lamp) -> None:

@@ -105,7 +105,9 @@ def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float)
         with pytest.raises(DeviceLost):
             once.read(1, "present_position")
     with ServoBus(bench.port, timeout_s=0.1, retries=3) as bus:
-        bench.says = late_once
+        bench.says = late_once  # a predecessor's
+        assert bus.read(1, "profile_velocity") == 77
+        bench.says = late_once  # our own
         assert bus.read(1, "profile_velocity") == 77
         assert bus.read(1, "present_position") == 2048
         assert bus.read(1, "profile_velocity") == 77

@@ -201,6 +201,17 @@ def test_move_arrives_and_measures(body: Callable[..., Body]) -> None:
     assert sync_packet("goal_position", {1: 2500, 2: 100, 3: 1600}) in one.heard
 
 
+def test_a_slow_arm_within_tolerance_has_not_arrived_yet(body: Callable[..., Body]) -> None:
+    """Catches an arrival that only compares positions: the arm would still creep during the exposure."""
+    one = body(speed=4.0)
+    one.servos.attach()
+    creeping = [replace(spec, velocity=1, tolerance=30) for spec in SPECS]
+    Servos(one.bus, creeping).attach()
+    measured = Servos(one.bus, creeping).move({1: 2088})
+    assert not one.bench.servos[1].moving(time.monotonic())
+    assert measured[1] == 2088
+
+
 def test_move_outside_the_limits_sends_nothing(body: Callable[..., Body]) -> None:
     """Catches a goal beyond the limits that reaches the wire."""
     one = body()
