@@ -9,6 +9,7 @@ object: results, a list of these rows.
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 EXAMPLE = "gonio bench imaging --plots figures"
 
 EXIT_TARGET_MISSED = 1
+_RUN = re.compile(r"^def run\(", re.MULTILINE)
 _KEYS = ("name", "value", "unit", "target", "ok")
 
 
@@ -35,13 +37,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the parts and print their rows."""
     folder = _folder()
-    known = sorted(path.stem for path in folder.glob("*.py") if "\ndef run(" in path.read_text("utf-8"))
+    known = sorted(path.stem for path in folder.glob("*.py") if _RUN.search(path.read_text("utf-8")))
     parts = options.parts or known
     for part in parts:
         if part not in known:
-            raise BadInput(
-                f"no benchmark of that name, there are {', '.join(known)}", where=part, todo="name one"
-            )
+            raise BadInput("no such benchmark", where=part, todo=f"there are: {', '.join(known)}")
     plots = None
     if options.plots:
         plots = Path(options.plots)

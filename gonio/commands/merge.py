@@ -19,6 +19,7 @@ The JSON object:
   flags: {name: pixels}
   noise: {gain_dn_per_e, floor_dn2, source}
   dark: {exposures_s, frames, matched} or null
+and for a session: estimator, note, radiance (the folder), poses: [{pose, role, station, file, frames, flags}]
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import add_json_option, print_json
+from gonio.output import Progress, add_json_option, print_json
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     import argparse
 
     from capture.bracket import BracketMerge
+    from capture.sensor import SensorModel
 
 EXAMPLE = "gonio merge bracket_*.dng --dark dark_*.dng --out scene.npz --preview scene.png"
 
@@ -67,6 +69,8 @@ def run(options: argparse.Namespace) -> int:
     from capture.sensor import load_sensor
 
     sensor = load_sensor(options.sensor) if options.sensor else None
+    if any(Path(file).is_dir() for file in options.files):
+        return _run_session(options, sensor)
     result = merge_bracket(
         options.files,
         dark_files=options.dark,
@@ -82,6 +86,43 @@ def run(options: argparse.Namespace) -> int:
         print_json(_summary(result, options))
     else:
         _print_table(result, options)
+    return 0
+
+
+def _run_session(options: argparse.Namespace, sensor: SensorModel | None) -> int:
+    from capture.session import Session
+    from capture.session_merge import RADIANCE_FOLDER, merge_session
+
+    given = {"--dark": options.dark, "--exposure-s": options.exposure_s, "--out": options.out}
+    given |= {"--preview": options.preview, "more files": options.files[1:]}
+    for name, value in given.items():
+        if value:
+            what = f"{name} does not go with a session, which has its own frames, darks and times"
+            raise BadInput(what, where=options.files[0], todo="leave it out")
+    with Session.open(options.files[0]) as session:
+        progress = Progress("merging", len(session.poses("sample")) + len(session.poses("white")))
+        poses, report = [], None
+        for done in merge_session(session, sensor):
+            report = done.merged.report
+            poses.append(
+                {
+                    "pose": done.record.index,
+                    "role": done.record.role,
+                    "station": done.record.station,
+                    "file": str(done.path),
+                    "frames": len(report.exposure_s),
+                    "flags": _flag_counts(done.merged.flags),
+                }
+            )
+            progress()
+        folder = session.folder / RADIANCE_FOLDER
+    estimator, note = (report.estimator, report.note) if report else ("", "")
+    if options.json:
+        print_json({"estimator": estimator, "note": note, "radiance": str(folder), "poses": poses})
+        return 0
+    print(f"{len(poses)} poses merged, {estimator}, into {folder}")
+    if note:
+        print(note)
     return 0
 
 
