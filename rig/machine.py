@@ -19,7 +19,7 @@ from rig.hotfolder import FrameFacts, HotFolder, Stray
 from rig.lamp import Lamp
 from rig.owner import PortOwner
 from rig.servos import Servos
-from rig.stop_report import PartStop, StopReport
+from rig.stop_report import PartStop, StopOutcome, StopReport
 from rig.ticks import rad_to_ticks, ticks_to_rad
 
 if TYPE_CHECKING:
@@ -299,12 +299,10 @@ class Machine:
         """
         self._stopped.set()
         with self._stop_lock:
-            parts: list[PartStop] = []
-            if self._lamp is not None:
-                parts.append(self._lamp.halt())
-            if self._servos is not None:
-                parts.extend(self._servos.halt())
-            self._report = StopReport(tuple(parts))
+            lamp, servos = self._lamp, self._servos
+            parts = _attempt("lamp", lambda: (lamp.halt(),)) if lamp is not None else ()
+            parts += _attempt("servos", servos.halt) if servos is not None else ()
+            self._report = StopReport(parts)
             return self._report
 
     def close(self) -> None:
@@ -356,6 +354,13 @@ class Machine:
     def _require_running(self) -> None:
         if self._stopped.is_set():
             raise Refused("the machine was stopped", where=self.rig.name, todo="see why, then run again")
+
+
+def _attempt(part: str, halt: Callable[[], tuple[PartStop, ...]]) -> tuple[PartStop, ...]:
+    try:
+        return halt()
+    except Exception as error:  # noqa: BLE001 - whatever fails here, the other parts are stopped too
+        return (PartStop(part, StopOutcome.UNKNOWN, f"{type(error).__name__}: {error}"),)
 
 
 def _no_camera(path: Path) -> FrameFacts:

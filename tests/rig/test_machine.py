@@ -157,6 +157,23 @@ def test_a_stop_from_another_thread_ends_a_move(slow_twin: Twin) -> None:
     assert_stopped_light_first(slow_twin, since)
 
 
+def test_a_lamp_that_breaks_down_does_not_keep_the_arms_from_stopping(
+    shared_twin: Twin, shared_rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a stop that ends with the first part that fails in a way nobody foresaw."""
+
+    def broken() -> None:
+        raise ZeroDivisionError
+
+    with open_machine(shared_rig) as machine:
+        monkeypatch.setattr(machine.lamp, "halt", broken)
+        since = time.monotonic()
+        report = machine.stop()
+        assert report.parts[0].outcome is StopOutcome.UNKNOWN
+        assert [part.outcome for part in report.parts[1:]] == [StopOutcome.CONFIRMED] * 5
+    assert any(line == "servos" and GOAL_SYNC_WRITE in data for line, data in heard(shared_twin, since))
+
+
 def test_a_stop_during_an_exposure_ends_it(twin: Twin) -> None:
     """Catches a stop that lets a long exposure burn to its end, or counts its picture."""
     with open_machine(load_rig(twin.rig), inspect=inspect_frame) as machine:

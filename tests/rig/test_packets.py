@@ -113,6 +113,21 @@ def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float)
         assert bus.read(1, "profile_velocity") == 77
 
 
+def test_a_late_velocity_is_no_position(bench: Any, wire: Wire) -> None:
+    """Catches the next question, of another register of equal length, answered by the late reply."""
+    wire.write(1, VELOCITY.address, VELOCITY.encode(77))
+
+    def late_once(_request: bytes, reply: bytes) -> bytes:
+        bench.says = lambda _request, reply: reply
+        time.sleep(0.15)
+        return reply
+
+    bench.says = late_once
+    with pytest.raises(Transient):
+        wire.read(1, VELOCITY.address, VELOCITY.size)
+    assert POSITION.decode(wire.read(1, POSITION.address, POSITION.size).data) == 2048
+
+
 def test_a_corrupt_reply_is_asked_for_again(bench: Any) -> None:
     """Catches a flipped bit that is believed, or that ends the run."""
 
