@@ -30,6 +30,8 @@ UNDETERMINED = 0.5
 """Relative standard uncertainty of a shape (of ior - 1) from which on the samples do not determine it."""
 AT_BOUND = 1e-4
 """Distance to a bound, as a share of its range in search coordinates, at which a shape counts as on it."""
+FEWEST_LEVELS = 4
+"""Distinct points of a lobe that samples must lie on before its width means anything."""
 MISFIT = 2.0
 """Chi-square per degree of freedom from which on model or uncertainties do not describe the samples."""
 
@@ -251,7 +253,13 @@ def _result(
         loss=goal.name,
         count=count,
         condition=condition,
-        message=_message(problem, values, u_values, on_bound, metrics),
+        message="; ".join(
+            [
+                *_on_shapes(problem, values, u_values, on_bound),
+                *_on_the_lobe(problem, goal, solution),
+                *_on_misfit(metrics),
+            ]
+        ),
     )
 
 
@@ -348,14 +356,10 @@ def _derived(
     return {"ks_F0": (values["ks"] * reflectance, np.sqrt(np.maximum(variance, 0.0)))}
 
 
-def _message(
-    problem: Problem,
-    values: dict[str, Array],
-    u: dict[str, Array],
-    on_bound: NDArray[np.bool_],
-    metrics: dict[str, float],
-) -> str:
-    """Say what the numbers alone do not."""
+def _on_shapes(
+    problem: Problem, values: dict[str, Array], u: dict[str, Array], on_bound: NDArray[np.bool_]
+) -> list[str]:
+    """Say which shapes the samples leave open."""
     notes = []
     for parameter, bound in zip(problem.shapes, on_bound, strict=True):
         value, spread = float(values[parameter.name]), float(u[parameter.name])
@@ -364,11 +368,31 @@ def _message(
             notes.append(f"{parameter.name} ended on the bound {value:.4g} and is not determined{only}")
         elif not spread / abs(parameter.coordinate.slope(value)) < UNDETERMINED:
             notes.append(f"{parameter.name} is not identifiable from these samples{only}")
-    if "ks" in values and not np.any(values["ks"] > 0.0):
-        notes.append("the samples show no specular lobe")
+    return notes
+
+
+def _on_the_lobe(problem: Problem, goal: Loss, solution: Solution) -> list[str]:
+    """Say whether there is a lobe, and whether samples lie on enough of it.
+
+    A lobe narrower than the samples' grid is seen at its top alone. Its width then comes from nowhere, with a
+    small u. How many values the logarithmic slope d ln(lobe) / d shape takes on the lobe tells which it is.
+    """
+    if not problem.has_lobe:
+        return []
+    if not np.any(solution.ks > 0.0):
+        return ["the samples show no specular lobe"]
+    lobe, slopes = problem.lobe(solution.shapes)
+    on_lobe = np.any(goal.used & (solution.ks * lobe > solution.kd / np.pi), axis=1) & (lobe[:, 0] > 0.0)
+    levels = np.unique(np.round(slopes[0][on_lobe] / lobe[on_lobe], 1)).size
+    if levels >= FEWEST_LEVELS:
+        return []
+    name = problem.shapes[0].name
+    return [f"the samples lie on {levels} distinct points of the lobe: {name} is not to be trusted"]
+
+
+def _on_misfit(metrics: dict[str, float]) -> list[str]:
+    """Say whether the residuals are what the uncertainties promise."""
     chi2 = metrics.get("chi2_dof", 0.0)
-    if chi2 > MISFIT:
-        notes.append(
-            f"residuals exceed the stated uncertainties {np.sqrt(chi2):.1f} times: u does not cover this"
-        )
-    return "; ".join(notes)
+    if not chi2 > MISFIT:
+        return []
+    return [f"residuals exceed the stated uncertainties {np.sqrt(chi2):.1f} times: u does not cover this"]

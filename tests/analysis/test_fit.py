@@ -198,6 +198,19 @@ def test_a_shape_on_its_bound_is_said_so():
     assert np.isinf(result.u["m"])
 
 
+def test_a_lobe_that_falls_between_the_samples_is_said_so():
+    """Catches a silently precise m from a grid that saw the top of the lobe and nothing else."""
+    grid = np.radians(np.arange(10.0, 80.0, 10.0))
+    theta_i, theta_o = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    wi, wo = directions(theta_i, theta_o, np.zeros_like(theta_i))
+    messages = {}
+    for m in (0.02, 0.2):
+        f_r = MODELS["cook-torrance"](kd=0.1, ks=0.8, m=m, ior=1.5).evaluate(wi, wo)
+        messages[m] = fit(make_samples(wi, wo, f_r, u_noise=0.01 * f_r), "cook-torrance").message
+    assert "m is not to be trusted" in messages[0.02]
+    assert messages[0.2] == ""
+
+
 def test_no_lobe_in_the_data():
     """Catches a crash, a warning, or an invented exponent where the surface is plain Lambert."""
     result = fit(exact_samples("lambert", u_noise=0.01), "blinn-phong")
