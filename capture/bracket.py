@@ -53,6 +53,8 @@ class BracketMerge:
         The frames against the merge.
     dark : DarkModel or None
         The darks' model.
+    dark_time_sources : tuple of str
+        Where each dark frame's exposure time came from.
     merged : Merged
         Radiance, variance, flags.
     """
@@ -66,6 +68,7 @@ class BracketMerge:
     fit: ExposureFit
     agreement: Agreement
     dark: DarkModel | None
+    dark_time_sources: tuple[str, ...]
     merged: Merged
 
 
@@ -174,9 +177,9 @@ def merge_bracket(
     seconds = [seconds[index] for index in order]
     sources = [sources[index] for index in order]
     stack = as_stack(frames, seconds)
-    dark = None
+    dark, dark_sources = None, list[str]()
     if dark_files:
-        dark_frames, dark_times, _ = timed_frames(dark_files)
+        dark_frames, dark_times, dark_sources = timed_frames(dark_files)
         dark = DarkModel.from_frames(dark_frames, dark_times)
     levels = subtrahend(dark, stack, sensor)
     clip = clip_levels(stack.thinned(thinning(stack.shape, _CLIP_PIXELS)), black_cell(levels), sensor)
@@ -196,5 +199,6 @@ def merge_bracket(
         fit=fit,
         agreement=agreement(stack, levels, merged),
         dark=dark,
+        dark_time_sources=tuple(dark_sources),
         merged=merged,
     )

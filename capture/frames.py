@@ -118,10 +118,10 @@ def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | 
     names = tuple(
         str(item.path) if isinstance(item, RawFrame) else f"frame {n}" for n, item in enumerate(items)
     )
-    _refuse_twins(items, names)
     raws = [item for item in items if isinstance(item, RawFrame)]
     if raws and len(raws) != len(items):
         raise BadInput("RAW frames and plain arrays are mixed", todo="give one kind")
+    _refuse_twins(items, names)
     counts = tuple(item.counts if isinstance(item, RawFrame) else np.asarray(item) for item in items)
     _check_counts(counts, names)
     times = _times(exposure_s, raws, len(items), names)
@@ -153,7 +153,7 @@ def _refuse_twins(items: list[Any], names: tuple[str, ...]) -> None:
     for index, item in enumerate(items):
         for other in range(index):
             same_array = isinstance(item, np.ndarray) and item is items[other]
-            same_file = isinstance(item, RawFrame) and names[index] == names[other]
+            same_file = isinstance(item, RawFrame) and item.path.resolve() == items[other].path.resolve()
             same_shot = (
                 isinstance(item, RawFrame)
                 and item.shot_id is not None

@@ -18,7 +18,7 @@ The JSON object:
   agreement: {range_dn, median, samples, clean_median, clean_samples, frames: [the same and file]}
   flags: {name: pixels}
   noise: {gain_dn_per_e, floor_dn2, source}
-  dark: {exposures_s, frames, matched} or null
+  dark: {exposures_s, frames, matched, sources} or null
 and for a session: estimator, note, radiance (the folder), poses: [{pose, role, station, file, frames, flags}]
 """
 
@@ -233,6 +233,7 @@ def _summary(result: BracketMerge, options: argparse.Namespace) -> dict[str, Any
             "exposures_s": result.dark.exposure_s,
             "frames": result.dark.frames,
             "matched": report.dark_matched,
+            "sources": result.dark_time_sources,
         },
         "out": options.out,
         "preview": options.preview,
@@ -246,9 +247,9 @@ def _print_table(result: BracketMerge, options: argparse.Namespace) -> None:
     print(f"{size}, {report.estimator}, {result.times} exposure times")
     if report.note:
         print(report.note)
-    named = result.time_sources.count("file name")
-    if named:
-        print(f"exposure times of {named} frames are read from their file names")
+    for what, sources in (("frames", result.time_sources), ("darks", result.dark_time_sources)):
+        if "file name" in sources:
+            print(f"exposure times of {sources.count('file name')} {what} are read from their file names")
     noise = report.noise
     print(f"noise {noise.source}: gain {noise.gain_dn_per_e:.4g} DN/e, floor {noise.floor_dn2**0.5:.3g} DN")
     if result.dark is not None:
