@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.uncertainty import quadrature, shared_by_pose
 from rig.angles import half_difference
 
 if TYPE_CHECKING:
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
     from analysis.models.base import Model
 
     Float = NDArray[np.float64]
-
-STEP_RAD = 1e-5
-"""Step of the central difference of a model along a joint's motion."""
 
 INDEPENDENT = ("u_noise", "u_white", "u_binning")
 """Columns that scatter from sample to sample; `u_reference` moves all samples together and shows in no
@@ -93,28 +91,14 @@ def evaluate_fit(samples: xr.Dataset, model: Model) -> Evaluation:
         for name in (*INDEPENDENT, "u_reference")
         if name in samples
     }
-    if "d_wi" in samples:
-        columns["pose"] = _pose_column(samples, model, measured.shape)
+    poses = shared_by_pose(samples, model)
+    if poses:
+        columns["pose"] = quadrature(*(error.column for error in poses))
     scatter = [columns[name] for name in ("noise", "white", "binning", "pose") if name in columns]
     if not scatter and "u_f_r" in samples:
         scatter = [samples["u_f_r"].to_numpy()]
-    total = np.sqrt(sum((column**2 for column in scatter), np.zeros(measured.shape)))
+    total = quadrature(np.zeros(measured.shape), *scatter)
     residual = measured - fitted
     with np.errstate(invalid="ignore", divide="ignore"):
         pull = np.where(total > 0, residual / total, np.nan)
     return Evaluation(fitted, residual, columns, pull)
-
-
-def _pose_column(samples: xr.Dataset, model: Model, shape: tuple[int, ...]) -> Float:
-    """Uncertainty of f_r from the joints' angles, all joints in quadrature."""
-    wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
-    d_wi, d_wo = samples["d_wi"].to_numpy(), samples["d_wo"].to_numpy()
-    variance = np.zeros(shape)
-    for joint, u_rad in enumerate(samples["u_joint_rad"].to_numpy()):
-        after, before = (
-            model.evaluate(wi + step * d_wi[:, joint], wo + step * d_wo[:, joint])
-            for step in (STEP_RAD, -STEP_RAD)
-        )
-        variance += ((after - before) / (2 * STEP_RAD) * u_rad) ** 2
-    column: Float = np.sqrt(variance)
-    return column

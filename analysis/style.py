@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
@@ -71,7 +72,14 @@ def to_svg(drawn: Figure) -> bytes:
     """Encode a figure as SVG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+    return _number_ids(buffer.getvalue().decode("utf-8")).encode("utf-8")
+
+
+def _number_ids(svg: str) -> str:
+    """Replace the hashed ids, some of which vary from run to run, by numbers in their order."""
+    hashed = dict.fromkeys(re.findall(r'\bid="([mpC]?[0-9a-f]{10}(?:_\d+_[0-9a-f]{10})?)"', svg))
+    names = {name: f"n{index}" for index, name in enumerate(hashed)}
+    return re.sub(r'(?<=id=")[^"]+|(?<=#)[^")]+', lambda found: names.get(found[0], found[0]), svg)
 
 
 def data_uri(content: bytes, kind: str) -> str:

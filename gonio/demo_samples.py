@@ -107,3 +107,10 @@ SAMPLES = (
         MICROFACET,
     ),
 )
+
+
+def few(poses: tuple[Pose, ...], count: int | None) -> tuple[Pose, ...]:
+    """Choose `count` poses, evenly over the list; all of them for None or more than there are."""
+    if count is None or count >= len(poses):
+        return poses
+    return tuple(poses[index * len(poses) // count] for index in range(count))

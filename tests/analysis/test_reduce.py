@@ -1,0 +1,161 @@
+"""Whole sessions to samples: frames read, darks taken off, poses paired, the table the same every time."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from analysis.models import MODELS
+from analysis.reduce import reduce_session
+from capture.records import PoseFlag
+from capture.session import FrameRecord, PoseRecord
+from rig.errors import BadInput
+from rig.kinematics import Kinematics
+from rig.pixels import irradiance, pixel_geometry
+from rig.ticks import rad_to_ticks, ticks_to_rad
+from simulator.dng import DngMeta, write_dng
+from simulator.sensor import Sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from analysis.models.base import Model
+    from capture.sensor import SensorModel
+    from rig.description import Rig
+
+EXPOSURES_S = (0.0158, 0.1264)
+SAMPLE = MODELS["cook-torrance"](kd=(0.4, 0.2, 0.1), ks=0.5, m=0.3, ior=1.5)
+WHITE = MODELS["lambert"](kd=(0.99, 0.99, 0.99))
+POSES_DEG = ((30.0, 20.0), (45.0, 30.0), (60.0, -20.0))
+
+
+@dataclass
+class RecordedSession:
+    """What a reduction asks of a session, over frames that a test wrote."""
+
+    folder: Path
+    rig: Rig
+    sensor: SensorModel | None
+    name: str = "test session"
+    records: list[PoseRecord] = field(default_factory=list)
+
+    def poses(self, role: str | None = None) -> list[PoseRecord]:
+        """All records, or those of one role."""
+        return [record for record in self.records if role in {None, record.role}]
+
+
+class Studio:
+    """Writes the frames of a session: closed-form light on the twin's sensor."""
+
+    def __init__(self, rig: Rig, folder: Path) -> None:
+        self.rig, self.folder = rig, folder
+        self.sensor = Sensor(rig.camera.width_px, rig.camera.height_px, serial="TEST", seed=4)
+        self.session = RecordedSession(folder, rig, self.sensor.calibration())
+
+    def pose(self, index: int, theta_i_deg: float, theta_o_deg: float) -> tuple[tuple[int, ...], np.ndarray]:
+        """Ticks of all servos and angles of the arms at a pose in the plane of incidence."""
+        ti, to = np.deg2rad([theta_i_deg, theta_o_deg])
+        goal = Kinematics(self.rig).solve([np.sin(ti), 0, np.cos(ti)], [-np.sin(to), 0, np.cos(to)])
+        ticks = [rad_to_ticks(j, float(a)) for j, a in zip(self.rig.arm_joints, goal, strict=True)]
+        angles = np.array([ticks_to_rad(j, t) for j, t in zip(self.rig.arm_joints, ticks, strict=True)])
+        return (*ticks, 2048 + index), angles
+
+    def shoot(self, role: str, index: int, model: Model | None, pose_deg: tuple[float, float]) -> None:
+        """Take one record: two exposures of a surface, or four darks at the longer time."""
+        ticks, angles = self.pose(index, *pose_deg)
+        radiance = None
+        if model is not None:
+            geometry = pixel_geometry(self.rig, angles)
+            light = irradiance(self.rig, geometry)[..., None]
+            radiance = model.evaluate(geometry.wi, geometry.wo) * light * geometry.on_sample[..., None]
+        times = EXPOSURES_S if model is not None else (EXPOSURES_S[index],) * 4
+        frames = [self._frame(f"{role}-{index}-{n}", radiance, time) for n, time in enumerate(times)]
+        record = PoseRecord(
+            index, role, role, tuple(angles), ticks, tuple(frames), PoseFlag(0), complete=True
+        )
+        self.session.records.append(record)
+
+    def _frame(self, shot: str, radiance: np.ndarray | None, time: float) -> FrameRecord:
+        rng = np.random.default_rng(int.from_bytes(shot.encode(), "little"))
+        path = self.folder / f"{shot}.dng"
+        black, white = self.sensor.black_dn, int(self.sensor.clip_dn)
+        meta = DngMeta(shutter_s=Fraction(time).limit_denominator(10**6), black_dn=black, white_dn=white)
+        write_dng(path, self.sensor.expose(radiance, time, rng), meta)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return FrameRecord(path, shot, time, radiance is not None, digest)
+
+
+@pytest.fixture
+def session(default_rig: Rig, tmp_path: Path) -> RecordedSession:
+    """Three poses of a glossy sample and of the white, with darks."""
+    studio = Studio(default_rig, tmp_path)
+    for index, pose in enumerate(POSES_DEG):
+        studio.shoot("sample", index, SAMPLE, pose)
+        studio.shoot("white", index, WHITE, pose)
+    for index in range(2):
+        studio.shoot("dark", index, None, (0.0, 30.0))
+    return studio.session
+
+
+def test_a_session_gives_its_surface_within_stated_noise(session: RecordedSession) -> None:
+    """Catches wrong darks, exposures, channel order or pairing of poses: pulls must be standard normal."""
+    samples = reduce_session(session)
+    truth = SAMPLE.evaluate(samples["wi"], samples["wo"])
+    used = samples["flags"].to_numpy() == 0
+    u = np.hypot(samples["u_noise"], samples["u_white"]).to_numpy()
+    pull = ((samples["f_r"].to_numpy() - truth) / u)[used]
+    assert used.mean() > 0.9
+    assert samples.sizes["sample"] > 500
+    assert list(samples["channel"].to_numpy()) == ["R", "G", "B"]
+    assert abs(pull.mean()) < 0.15
+    assert pull.std() == pytest.approx(1, abs=0.08)
+
+
+def test_order_of_the_records_does_not_matter(session: RecordedSession) -> None:
+    """Catches a table, or a hash, that depends on how often the capture was interrupted."""
+    shuffled = replace(session, records=session.records[::-1])
+    assert reduce_session(session).identical(reduce_session(shuffled))
+
+
+def test_every_file_counts_in_the_hash(session: RecordedSession) -> None:
+    """Catches provenance that would not notice an exchanged frame."""
+    before = reduce_session(session).attrs["frames_sha256"]
+    record = session.records[0]
+    changed = replace(record, frames=(record.frames[0], replace(record.frames[1], sha256="0" * 64)))
+    session.records[0] = changed
+    assert reduce_session(session).attrs["frames_sha256"] != before
+
+
+def test_poses_without_white_are_left_out(session: RecordedSession) -> None:
+    """Catches a sample divided by the white of another pose."""
+    session.records = [r for r in session.records if not (r.role == "white" and r.index == 1)]
+    samples = reduce_session(session)
+    assert set(samples["pose"].to_numpy().tolist()) == {0, 2}
+
+
+def test_no_white_at_all_is_one_line(session: RecordedSession) -> None:
+    """Catches an empty table, or a traceback, from an unfinished session."""
+    session.records = session.poses("sample")
+    with pytest.raises(BadInput, match=r"no pose has both sample and white \(3 sample, 0 white\)"):
+        reduce_session(session)
+
+
+def test_without_darks_the_calibration_serves(session: RecordedSession) -> None:
+    """Catches a session without darks that cannot be reduced; black level and dark current are calibrated."""
+    session.records = [record for record in session.records if record.role != "dark"]
+    samples = reduce_session(session)
+    truth = SAMPLE.evaluate(samples["wi"], samples["wo"])
+    relative = np.abs(samples["f_r"].to_numpy() / truth - 1)
+    assert np.nanmedian(relative) < 0.01
+
+
+def test_progress_is_told_of_each_pose(session: RecordedSession) -> None:
+    """Catches a progress line that never ends."""
+    seen: list[int] = []
+    reduce_session(session, progress=lambda: seen.append(1))
+    assert len(seen) == 3
