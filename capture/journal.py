@@ -149,11 +149,12 @@ class Journal:
             for pose, wi, wo, angles, refused in rows
         ]
 
-    def visits(self) -> list[Visit]:
-        """All visits in the session's order."""
+    def visits(self, number: int | None = None) -> list[Visit]:
+        """All visits in the session's order, or the one of that number."""
         rows = self._read(
             "SELECT visit, role, pose, station, angles_rad, held_ticks, held_rad, flags, done "
-            "FROM visits ORDER BY visit"
+            "FROM visits WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit",
+            (number,),
         )
         return [
             Visit(
@@ -197,6 +198,12 @@ class Journal:
         rows = self._read("SELECT time, kind, detail FROM events ORDER BY event")
         return [Event(moment, kind, json.loads(detail)) for moment, kind, detail in rows]
 
+    def camera(self) -> tuple[str | None, str | None] | None:
+        """Tell serial number and model of the camera of the session's frames; None before the first."""
+        rows = self._read("SELECT detail FROM events WHERE kind = 'camera' ORDER BY event LIMIT 1")
+        detail = json.loads(rows[0][0]) if rows else None
+        return None if detail is None else (detail["serial"], detail["model"])
+
     def add_visits(self, visits: Sequence[Visit]) -> None:
         """Add planned visits; one that is there already, by role and pose, stays as it is."""
         with self._change() as change:
@@ -215,11 +222,12 @@ class Journal:
             )
 
     def intend(self, shot: Shot) -> None:
-        """Record a shot before it is made; one intended already, by its ID, stays as it is."""
+        """Record a shot before it is made; again under the same ID when it was lost."""
         with self._change() as change:
             change.execute(
                 "INSERT INTO shots (shot_id, visit, frame, exposure_s, lit, state, time) "
-                "VALUES (?, ?, ?, ?, ?, 'intent', ?) ON CONFLICT (shot_id) DO NOTHING",
+                "VALUES (?, ?, ?, ?, ?, 'intent', ?) "
+                "ON CONFLICT (shot_id) DO UPDATE SET exposure_s = excluded.exposure_s, time = excluded.time",
                 (shot.shot_id, shot.visit, shot.frame, shot.exposure_s, int(shot.lit), now()),
             )
 
@@ -239,14 +247,19 @@ class Journal:
                 (statistics.to_json(), now(), shot_id),
             )
 
-    def withdraw(self, shot_id: str) -> None:
-        """Put a shot back to its intent, because its file is not what was recorded."""
+    def withdraw(self, shot: Shot) -> None:
+        """Put a shot back to its intent, because its file is not what was recorded.
+
+        Its visit counts no more, and the frames after it are forgotten: their exposures were chosen from it.
+        """
         with self._change() as change:
+            change.execute("DELETE FROM shots WHERE visit = ? AND frame > ?", (shot.visit, shot.frame))
             change.execute(
                 "UPDATE shots SET state = 'intent', path = NULL, sha256 = NULL, statistics = NULL, time = ? "
                 "WHERE shot_id = ?",
-                (now(), shot_id),
+                (now(), shot.shot_id),
             )
+            change.execute("UPDATE visits SET flags = 0, done = 0 WHERE visit = ?", (shot.visit,))
 
     def reopen(self, visit: int) -> None:
         """Forget a visit's shots and place, because the arms no longer stand where they stood."""

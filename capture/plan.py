@@ -11,18 +11,18 @@ import json
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
 
 from capture import poses
-from rig.angles import FloatArray
 from rig.errors import BadInput
 from rig.parts import Part
 from rig.rig_errors import explain
 
-PLAN_VERSION = 1
+if TYPE_CHECKING:
+    from rig.angles import FloatArray
 
 _LARGEST_FILE = 20_000_000
 

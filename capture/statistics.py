@@ -6,7 +6,8 @@ They are journalled with the frame, so that a resumed session decides as the int
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+import math
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +18,14 @@ if TYPE_CHECKING:
     from capture.raw import RawFrame
     from capture.sensor import SensorModel
 
-BRIGHT_PERCENTILE = 99.5
-"""What counts as the brightest part: a half per cent stays out, more than any sensor has hot pixels."""
+BRIGHT_PERCENTILE = 99.8
+"""What counts as the brightest part: as many pixels stay out as may clip, more than a sensor has hot ones."""
 
 DIM_PERCENTILE = 5.0
 """What counts as the dim part."""
+
+ENOUGH_PIXELS = 250_000
+"""Pixels that are looked at in a large frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +35,7 @@ class ChannelStatistics:
     Attributes
     ----------
     dim_dn, median_dn, bright_dn : float
-        Percentiles 5, 50 and 99.5.
+        Percentiles 5, 50 and 99.8.
     range_dn : float
         Clip level above black.
     clipped_fraction : float
@@ -89,6 +93,30 @@ class FrameStatistics:
         """
         content = json.loads(text)
         return cls(tuple(ChannelStatistics(**channel) for channel in content["channels"]), content["pixels"])
+
+
+def thinned(
+    frame: RawFrame, most_pixels: int = ENOUGH_PIXELS
+) -> tuple[RawFrame, NDArray[np.int64], NDArray[np.int64]]:
+    """Keep evenly spread 2 x 2 cells of a large frame, enough for percentiles.
+
+    Parameters
+    ----------
+    frame : RawFrame
+    most_pixels : int
+        A frame with no more pixels stays whole.
+
+    Returns
+    -------
+    frame : RawFrame
+        With the same mosaic and fewer counts.
+    rows, cols : ndarray of int
+        Where its rows and columns lie in the whole frame.
+    """
+    height, width = (size // 2 * 2 for size in frame.counts.shape)
+    step = max(1, math.ceil(math.sqrt(height * width / most_pixels)))
+    rows, cols = ((np.arange(0, size, 2 * step)[:, None] + np.arange(2)).ravel() for size in (height, width))
+    return replace(frame, counts=frame.counts[np.ix_(rows, cols)]), rows, cols
 
 
 def frame_statistics(

@@ -1,0 +1,224 @@
+"""The measurement as a Bluesky plan: go to a pose, shoot until it has what it needs, next.
+
+The engine gives runs, documents and the order of things; what must outlive the process is in the journal, and
+every decision is taken from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bluesky import plan_stubs
+from bluesky.utils import FailedStatus
+
+from capture.exposure import Chooser, Observation
+from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visit
+from capture.store import Store, shot_id
+from rig.devices import ArmsDevice, CameraDevice, PoseGoal
+from rig.devices import Shot as Exposure
+from rig.errors import GonioError, Refused, Transient
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Sequence
+
+    from bluesky.utils import Msg
+
+    from capture.examine import CameraFacts, Examiner
+    from capture.journal import Journal
+    from rig.machine import HeldPose
+
+    Messages = Generator[Msg, Any, None]
+
+TRIES = 3
+"""How often a shot is made before a passing fault counts as one that stays."""
+
+PRIMARY = "primary"
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Everything that the plan needs.
+
+    Attributes
+    ----------
+    arms, camera
+        The machine's devices.
+    store : Store
+        Where frames go.
+    examiner : Examiner
+        What frames show.
+    chooser : Chooser
+        Which exposure comes next.
+    plan_hash : str
+        Of the measurement's plan; it begins the names of the shots.
+    dark_exposures_s : tuple of float
+        Exposures of the darks: shortest, longest.
+    dark_count : int
+        Dark frames at each.
+    finishing : callable
+        Asked after each frame; true ends the plan there.
+    visited : callable
+        Told of each visit that is done.
+    """
+
+    arms: ArmsDevice
+    camera: CameraDevice
+    store: Store
+    examiner: Examiner
+    chooser: Chooser
+    plan_hash: str
+    dark_exposures_s: tuple[float, ...]
+    dark_count: int
+    finishing: Callable[[], bool]
+    visited: Callable[[Visit], None]
+
+    @property
+    def journal(self) -> Journal:
+        """The session's journal."""
+        return self.store.journal
+
+    def run(self, visits: Sequence[Visit], metadata: dict[str, Any]) -> Messages:
+        """Plan one run over some visits, in their order.
+
+        Parameters
+        ----------
+        visits : sequence of Visit
+            Those that are not done yet.
+        metadata : dict
+            For the start document.
+
+        Yields
+        ------
+        Msg
+        """
+        yield from plan_stubs.open_run(metadata)
+        for visit in visits:
+            if self.finishing():
+                break
+            yield from self._visit(visit)
+        yield from plan_stubs.close_run()
+
+    def _visit(self, visit: Visit) -> Messages:
+        held = yield from self._go(visit)
+        history = _observations(self.journal.shots(visit.number))
+        previous = self._previous(visit)
+        while (exposure_s := self._next_exposure(visit, history, previous)) is not None:
+            shot = self._intend(visit, len(history) + 1, exposure_s)
+            yield from self._shoot(shot)
+            history.append(self._take(shot, visit, held))
+            yield from self._record()
+            if self.finishing():
+                break
+        if self._next_exposure(visit, history, previous) is None:
+            self.journal.finish(visit.number, self._flags(visit, history))
+            self.visited(visit)
+
+    def _go(self, visit: Visit) -> Generator[Msg, Any, Held]:
+        goal = PoseGoal(visit.angles_rad, visit.station)
+        yield from plan_stubs.abs_set(self.arms, goal, wait=True)
+        pose = self.arms.pose
+        if pose is None:
+            raise Refused("the arms hold no verified pose", where=f"pose {visit.pose}", todo="run again")
+        return self._hold(visit, pose)
+
+    def _hold(self, visit: Visit, pose: HeldPose) -> Held:
+        """Journal where the arms stand; frames of the same pose from elsewhere are set aside."""
+        held = Held(pose.ticks, pose.angles_rad)
+        if visit.held == held:
+            return held
+        taken = [shot for shot in self.journal.shots(visit.number) if shot.path is not None]
+        if visit.held is not None and taken:
+            self.journal.note(
+                "moved", role=visit.role, pose=visit.pose, before=visit.held.ticks, now=held.ticks
+            )
+            for shot in taken:
+                path = self.store.folder / (shot.path or "")
+                self.store.set_aside(path, f"of shot {shot.shot_id}: the arms stand elsewhere now")
+            self.journal.reopen(visit.number)
+        self.journal.hold(visit.number, held)
+        return held
+
+    def _previous(self, visit: Visit) -> list[Observation]:
+        """Frames of the visit before, if that was in the same role."""
+        before = self.journal.visits(visit.number - 1)
+        if not before or before[0].role is not visit.role:
+            return []
+        return _observations(self.journal.shots(visit.number - 1))
+
+    def _next_exposure(
+        self, visit: Visit, history: Sequence[Observation], previous: Sequence[Observation]
+    ) -> float | None:
+        if visit.role is Role.DARK:
+            return self.dark_exposures_s[visit.pose] if len(history) < self.dark_count else None
+        return self.chooser.next_exposure(history, previous)
+
+    def _flags(self, visit: Visit, history: Sequence[Observation]) -> PoseFlag:
+        return NO_FLAG if visit.role is Role.DARK else self.chooser.flags(history)
+
+    def _intend(self, visit: Visit, frame: int, exposure_s: float) -> Shot:
+        name = shot_id(self.plan_hash, visit.role, visit.pose, frame)
+        shot = Shot(name, visit.number, frame, exposure_s, lit=visit.role is not Role.DARK)
+        self.journal.intend(shot)
+        return shot
+
+    def _shoot(self, shot: Shot) -> Messages:
+        """Make one exposure; a passing fault is tried again under the same name."""
+        for attempt in range(1, TRIES + 1):
+            exposure = Exposure(shot.shot_id, shot.exposure_s, dark=not shot.lit)
+            yield from plan_stubs.prepare(self.camera, exposure, wait=True)
+            try:
+                yield from plan_stubs.trigger(self.camera, wait=True)
+            except FailedStatus as failed:
+                error = cause_of(failed)
+                if not isinstance(error, Transient) or attempt == TRIES:
+                    raise
+                self.journal.note("retry", shot_id=shot.shot_id, attempt=attempt, error=str(error))
+            else:
+                return
+
+    def _take(self, shot: Shot, visit: Visit, held: Held) -> Observation:
+        arrived = self.camera.path
+        if arrived is None:
+            raise Refused("the camera has no picture", where=f"shot {shot.shot_id}", todo="run again")
+        self._require_same_camera(self.examiner.camera(arrived))
+        statistics = self.examiner.statistics(arrived, held.angles_rad)
+        self.store.take(shot, visit, arrived, statistics)
+        return Observation(shot.exposure_s, statistics)
+
+    def _require_same_camera(self, found: CameraFacts) -> None:
+        known = self.journal.camera()
+        if known is None:
+            self.journal.note("camera", serial=found.serial, model=found.model)
+        elif known != (found.serial, found.model):
+            raise Refused(
+                f"the frame is of camera {found.serial} ({found.model}), "
+                f"the session's others of {known[0]} ({known[1]})",
+                where=str(self.store.folder),
+                todo="connect that camera again, or begin a new session",
+            )
+
+    def _record(self) -> Messages:
+        """One event document: where the arms were, what was shot."""
+        yield from plan_stubs.create(name=PRIMARY)
+        yield from plan_stubs.read(self.arms)
+        yield from plan_stubs.read(self.camera)
+        yield from plan_stubs.save()
+
+
+def cause_of(error: BaseException) -> GonioError | None:
+    """Find our own error behind what the engine raises; None where there is none."""
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, GonioError):
+            return seen
+        seen = seen.__cause__
+    return None
+
+
+def _observations(shots: Sequence[Shot]) -> list[Observation]:
+    return [
+        Observation(shot.exposure_s, shot.statistics)
+        for shot in shots
+        if shot.state is ShotState.VERIFIED and shot.statistics is not None
+    ]

@@ -1,0 +1,302 @@
+"""A capture from its plan to its session, and on after an interruption.
+
+Everything that can be refused is refused before the machine is opened. The machine's own `with` block makes
+it safe on every way out; the journal makes every way out resumable.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture.acquire import Acquisition, cause_of
+from capture.documents import DocumentLog, make_engine
+from capture.examine import Examiner
+from capture.exposure import Chooser, Noise, Shutter, Target
+from capture.guards import require_disk, same_plan, same_rig
+from capture.itinerary import lay_out
+from capture.journal import Journal
+from capture.plan import Plan, load_plan
+from capture.records import Role, ShotState, Visit
+from capture.session import (
+    DOCUMENTS_FILE,
+    JOURNAL_FILE,
+    load_session_sensor,
+    read_facts,
+)
+from capture.store import Store, create_session, require_free
+from capture.wishes import CaptureResult, Wishes
+from rig.description import Rig, load_rig
+from rig.devices import ArmsDevice, CameraDevice
+from rig.errors import GonioError, Refused
+from rig.machine import open_machine
+
+if TYPE_CHECKING:
+    from capture.statistics import FrameStatistics
+    from rig.machine import Machine
+
+
+def capture(
+    plan: Plan | str | Path,
+    rig: Rig | str | Path,
+    out: str | Path,
+    *,
+    rig_file: str | Path | None = None,
+    wishes: Wishes | None = None,
+) -> CaptureResult:
+    """Carry out a plan on a machine, into a new session.
+
+    Parameters
+    ----------
+    plan : Plan or path
+    rig : Rig or path
+        With the ports to use.
+    out : path
+        The session's folder; nothing may be there yet.
+    rig_file : path, optional
+        Where `rig` was read from, if it is not a path: a later resume looks there.
+    wishes : Wishes, optional
+        Progress, questions, interruption.
+
+    Returns
+    -------
+    CaptureResult
+
+    Raises
+    ------
+    BadInput, Refused
+        Before anything moves: the plan does not fit the machine, the session exists, the disk is too small.
+    GonioError
+        From the machine, which is then stopped; the session can be resumed.
+    """
+    wishes = wishes or Wishes()
+    if not isinstance(plan, Plan):
+        plan = load_plan(plan)
+    if not isinstance(rig, Rig):
+        rig_file, rig = rig, load_rig(rig)
+    folder = Path(out)
+    require_free(folder)
+    itinerary = lay_out(plan, rig)
+    require_disk(folder, itinerary.forecast().disk_bytes)
+    for reason, count in itinerary.feasible.counts.items():
+        wishes.say(f"{count} poses are left out: {reason}")
+    examiner = Examiner(rig, load_session_sensor(rig.folder))
+    with open_machine(rig, inspect=examiner.inspect) as machine:
+        wishes.controls.on_abort(machine.stop)
+        servos = {row.spec.name: row.as_dict()["found"] for row in machine.handshake.rows}
+        create_session(folder, itinerary, rig_file=Path(rig_file) if rig_file else None, servos=servos)
+        return _Run(folder, plan, machine, examiner, wishes).carry_out()
+
+
+def resume(
+    session: str | Path,
+    *,
+    plan: str | Path | None = None,
+    rig: str | Path | None = None,
+    servos: str | None = None,
+    lamp: str | None = None,
+    frames: str | Path | None = None,
+    wishes: Wishes | None = None,
+) -> CaptureResult:
+    """Go on with a session where it ended, however it ended.
+
+    Parameters
+    ----------
+    session : path
+        Its folder.
+    plan : path, optional
+        A plan that must be the session's.
+    rig : path, optional
+        The machine's file, if it is no longer where the session was begun from.
+    servos, lamp, frames : optional
+        Ports and hot folder that replace the file's.
+    wishes : Wishes, optional
+        Progress, questions, interruption.
+
+    Returns
+    -------
+    CaptureResult
+
+    Raises
+    ------
+    BadInput
+        It is no session.
+    Refused
+        Plan, machine or calibration are not the session's.
+    GonioError
+        From the machine, which is then stopped; the session can be resumed again.
+    """
+    wishes = wishes or Wishes()
+    folder = Path(session)
+    facts = read_facts(folder)
+    session_plan = same_plan(folder, facts, plan)
+    machine_rig = same_rig(folder, facts, rig, {"servos": servos, "lamp": lamp, "frames": frames})
+    examiner = Examiner(machine_rig, load_session_sensor(folder))
+    with open_machine(machine_rig, inspect=examiner.inspect) as machine:
+        wishes.controls.on_abort(machine.stop)
+        run = _Run(folder, session_plan, machine, examiner, wishes)
+        run.recover()
+        return run.carry_out()
+
+
+class _Run:
+    """One run of the machine into one session."""
+
+    def __init__(
+        self, folder: Path, plan: Plan, machine: Machine, examiner: Examiner, wishes: Wishes
+    ) -> None:
+        self.folder, self.plan, self.rig, self.machine = folder, plan, machine.rig, machine
+        self.examiner, self.wishes = examiner, wishes
+        self.began = time.monotonic()
+        self.journal = Journal(folder / JOURNAL_FILE)
+        self.store = Store(folder, self.journal)
+        machine.on_stray(lambda stray: self.store.set_aside(stray.path, stray.reason))
+
+    def recover(self) -> None:
+        """Mend what the last run left."""
+        self.store.recover(self.rig.ports.frames, self.examiner.shot_of, self._examine)
+        self.journal.note("resumed")
+
+    def carry_out(self) -> CaptureResult:
+        """Do all that is not done; journal how it ended, with light and arms stopped."""
+        with closing(self.journal):
+            try:
+                self._passes()
+            except Exception as error:
+                self._journal_end(error)
+                ours = cause_of(error)
+                if self.wishes.controls.abort_requested and ours is not None:
+                    return self._result()  # whoever aborted knows why
+                if ours is None:
+                    raise
+                raise type(ours)(ours.what, where=ours.where, todo=self._then_resume(ours.todo)) from error
+            self._journal_end(None)
+            return self._result()
+
+    def _passes(self) -> None:
+        with (
+            closing(ArmsDevice(self.machine)) as arms,
+            closing(CameraDevice(self.machine)) as camera,
+            DocumentLog(self.folder / DOCUMENTS_FILE) as log,
+        ):
+            engine = make_engine(log)
+            for role in (Role.WHITE, Role.SAMPLE, Role.DARK):
+                if role is Role.DARK:
+                    self._plan_darks()
+                left = [visit for visit in self.journal.visits() if visit.role is role and not visit.done]
+                if left and not self._mount(role):
+                    return
+                if left:
+                    engine(self._acquisition(arms, camera).run(left, self._metadata(role)))
+                if self.wishes.controls.finish_requested:
+                    return
+
+    def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
+        asked = self.plan.exposure
+        visits = self.journal.visits()
+        total, done = len(visits), sum(visit.done for visit in visits)
+
+        def visited(visit: Visit) -> None:
+            nonlocal done
+            done += 1
+            self.wishes.progress(done, total, f"{visit.role} {visit.pose}")
+
+        return Acquisition(
+            arms=arms,
+            camera=camera,
+            store=self.store,
+            examiner=self.examiner,
+            chooser=Chooser(
+                Shutter.of(self.rig),
+                Target(asked.snr, asked.first_s, asked.max_frames),
+                Noise.of(load_session_sensor(self.folder)),
+            ),
+            plan_hash=self.plan.hash,
+            dark_exposures_s=self._dark_exposures_s(),
+            dark_count=self.plan.darks.count,
+            finishing=lambda: self.wishes.controls.finish_requested,
+            visited=visited,
+        )
+
+    def _plan_darks(self) -> None:
+        """Plan the darks, where the arms stand after the last pose, once all others are done."""
+        visits = self.journal.visits()
+        if not self.plan.darks.count or not visits or any(visit.role is Role.DARK for visit in visits):
+            return
+        last = visits[-1]
+        self.journal.add_visits(
+            [
+                Visit(last.number + 1 + number, Role.DARK, number, last.station, last.angles_rad)
+                for number in range(len(self._dark_exposures_s()))
+            ]
+        )
+
+    def _dark_exposures_s(self) -> tuple[float, ...]:
+        """Shortest and longest exposure used with the lamp on."""
+        used = [shot.exposure_s for shot in self.journal.shots() if shot.lit]
+        return tuple(sorted({min(used), max(used)})) if used else ()
+
+    def _mount(self, role: Role) -> bool:
+        """Have the person mount what a pass needs; False where he stops instead."""
+        if self.rig.stations or role is Role.DARK:
+            return True
+        label = "the white reference" if role is Role.WHITE else f"the sample {self.plan.sample}"
+        if role not in self.wishes.mounted:
+            if self.wishes.mount is None:
+                raise Refused(
+                    f"nobody can be asked to mount {label}",
+                    where=str(self.folder),
+                    todo=f"mount it and say so with --mounted {role}",
+                )
+            self.machine.park()
+            if not self.wishes.mount(role, label):
+                return False
+        self.journal.note("mounted", role=role, label=label)
+        return True
+
+    def _metadata(self, role: Role) -> dict[str, Any]:
+        return {
+            "plan_name": self.plan.name,
+            "sample": self.plan.sample,
+            "role": role.value,
+            "session": self.folder.name,
+            "plan_hash": self.plan.hash,
+            "rig_hash": self.rig.hash,
+        }
+
+    def _examine(self, path: Path, visit: Visit) -> FrameStatistics:
+        return self.examiner.statistics(path, visit.held.angles_rad if visit.held else visit.angles_rad)
+
+    def _complete(self) -> bool:
+        visits = self.journal.visits()
+        darks = any(visit.role is Role.DARK for visit in visits)
+        return all(visit.done for visit in visits) and (darks or not self.plan.darks.count)
+
+    def _journal_end(self, error: BaseException | None) -> None:
+        """Stop light and arms and journal it all; a journal that cannot take it hides no error."""
+        report = self.machine.stop()
+        with suppress(GonioError):
+            if error is not None:
+                self.journal.note("failed", error=str(cause_of(error) or error))
+            else:
+                self.journal.note("finished" if self._complete() else "interrupted")
+            self.journal.note("stopped", **report.as_dict())
+
+    def _then_resume(self, todo: str) -> str:
+        resume_it = f"gonio capture --resume {self.folder}"
+        return todo if resume_it in todo else f"{todo}; then {resume_it}"
+
+    def _result(self) -> CaptureResult:
+        visits = self.journal.visits()
+        return CaptureResult(
+            session=self.folder,
+            complete=self._complete(),
+            poses=sum(visit.done and visit.role is Role.SAMPLE for visit in visits),
+            frames=sum(shot.state is ShotState.VERIFIED for shot in self.journal.shots()),
+            refused=sum(pose.refused is not None for pose in self.journal.poses()),
+            flagged=sum(bool(visit.flags) for visit in visits),
+            seconds=time.monotonic() - self.began,
+            stop=self.machine.stop_report,
+        )

@@ -1,0 +1,350 @@
+"""The writing side of a session: making one, and taking frames in so that no death of the process loses any.
+
+A frame's way: its name and hash are journalled, then a copy takes that name with everything on the disk
+(written aside, synced, renamed), then it is journalled as verified, and only then the file in the hot folder
+goes. After a death `Store.recover` finds each frame before, between or after these steps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import getpass
+import hashlib
+import json
+import os
+import platform
+import tempfile
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from capture.journal import Journal, disk_full, now
+from capture.plan import dump_plan
+from capture.records import Role, Shot, ShotState, Visit
+from capture.session import (
+    CALIBRATION_FOLDER,
+    FORMAT_VERSION,
+    FRAMES_FOLDER,
+    JOURNAL_FILE,
+    PLAN_FILE,
+    RIG_FILE,
+    SESSION_FILE,
+    STRAY_FOLDER,
+    calibration_hashes,
+    hash_file,
+)
+from rig.description import dump_rig
+from rig.errors import Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from capture.itinerary import Itinerary
+    from capture.statistics import FrameStatistics
+
+    Examine = Callable[[Path, Visit], FrameStatistics]
+
+PARTIAL_SUFFIX = ".part"
+
+CLOCK_SLACK_S = 5.0
+"""How much older than the session a file of it may read: other clocks, coarse file systems."""
+
+CONVENTIONS = {
+    "frame": "sample frame: right-handed, +z the normal, +x the sample's mark",
+    "directions": "wi to the light, wo to the camera, unit vectors away from the surface",
+    "angles": "radians unless a name says deg; joints in the order of rig.toml without the station wheel",
+}
+
+_LIBRARIES = ("gonio", "numpy", "bluesky", "dynamixel-sdk", "pyserial", "rawpy")
+
+
+def create_session(
+    out: Path, itinerary: Itinerary, *, rig_file: Path | None, servos: Mapping[str, Any]
+) -> None:
+    """Make a session folder, complete or not at all.
+
+    Parameters
+    ----------
+    out : Path
+        Where; nothing may be there yet.
+    itinerary : Itinerary
+        The plan on this machine.
+    rig_file : Path, optional
+        The file that describes the machine.
+    servos : mapping
+        What the handshake found, plain values.
+
+    Raises
+    ------
+    Refused
+        Something is there already, or the disk is full.
+    """
+    require_free(out)
+    with full_disk_in_one_line(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+        folder.chmod(0o755)
+        (folder / STRAY_FOLDER).mkdir(parents=True)
+        calibration = _copy_calibration(itinerary.rig.folder, folder)
+        dump_plan(itinerary.plan, folder / PLAN_FILE)
+        dump_rig(itinerary.rig, folder / RIG_FILE)
+        facts = _facts(itinerary, rig_file, calibration, servos)
+        (folder / SESSION_FILE).write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+        with Journal.create(folder / JOURNAL_FILE, itinerary.planned(), itinerary.visits()) as journal:
+            journal.note("started", by=facts["operator"])
+            refused = itinerary.feasible.counts
+            if refused:
+                journal.note("refused", reasons=refused)
+        for file in folder.iterdir():
+            if file.is_file():
+                sync_file(file)
+        sync_folder(folder)
+        folder.rename(out)
+        sync_folder(out.parent)
+
+
+def require_free(out: Path) -> None:
+    """Pass only if there is nothing at a place.
+
+    Raises
+    ------
+    Refused
+        There is.
+    """
+    if out.exists():
+        raise Refused(
+            "something is there already",
+            where=str(out),
+            todo=f"choose another --out, or go on with gonio capture --resume {out}",
+        )
+
+
+class Store:
+    """Takes frames into a session.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+    journal : Journal
+    """
+
+    def __init__(self, folder: Path, journal: Journal) -> None:
+        self.folder, self.journal = folder, journal
+
+    def take(self, shot: Shot, visit: Visit, arrived: Path, statistics: FrameStatistics) -> Shot:
+        """Take a checked frame out of the hot folder.
+
+        Parameters
+        ----------
+        shot : Shot
+            Its intent.
+        visit : Visit
+            Where it belongs.
+        arrived : Path
+            Its file.
+        statistics : FrameStatistics
+            What it shows.
+
+        Returns
+        -------
+        Shot
+            Verified.
+
+        Raises
+        ------
+        Refused
+            The disk is full; the file stays where it arrived.
+        """
+        with full_disk_in_one_line(self.folder):
+            data = arrived.read_bytes()
+            sha256 = hashlib.sha256(data).hexdigest()
+            path = frame_path(visit, shot.frame, arrived.suffix)
+            self.journal.file(shot.shot_id, path, sha256)
+            write_durably(self.folder / path, data)
+            self.journal.verify(shot.shot_id, statistics)
+            arrived.unlink(missing_ok=True)
+        return Shot(
+            shot.shot_id,
+            shot.visit,
+            shot.frame,
+            shot.exposure_s,
+            shot.lit,
+            ShotState.VERIFIED,
+            path,
+            sha256,
+            statistics,
+        )
+
+    def set_aside(self, path: Path, reason: str) -> None:
+        """Move a file that is not the picture waited for to `frames/stray/`, and say why in the journal."""
+        target = self.folder / STRAY_FOLDER / path.name
+        number = 1
+        while target.exists():
+            number += 1
+            target = self.folder / STRAY_FOLDER / f"{path.stem}-{number}{path.suffix}"
+        with full_disk_in_one_line(self.folder):
+            try:
+                path.rename(target)
+            except FileNotFoundError:
+                return  # its owner took it back
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                write_durably(target, path.read_bytes())
+                path.unlink()
+        self.journal.note("stray", file=path.name, reason=reason, kept=f"{STRAY_FOLDER}/{target.name}")
+
+    def recover(self, hot_folder: Path, shot_of: Callable[[Path], str | None], examine: Examine) -> None:
+        """Mend what a death left behind: no verified frame is lost, nothing unproved counts.
+
+        Parameters
+        ----------
+        hot_folder : Path
+            Where the camera's files arrive.
+        shot_of : callable
+            Path -> the shot's ID that a file carries, None where it carries none or does not decode.
+        examine : callable
+            (path, visit) -> what a frame shows; raises `BadInput` where it does not decode.
+        """
+        for left in (self.folder / FRAMES_FOLDER).glob(f"*{PARTIAL_SUFFIX}"):
+            left.unlink()
+        visits = {visit.number: visit for visit in self.journal.visits()}
+        arrivals = self._arrivals(hot_folder, shot_of)
+        lost: set[int] = set()
+        for shot in self.journal.shots():
+            if shot.visit in lost:
+                self._forget(shot)
+            elif shot.state is not ShotState.INTENT and not self._mend(
+                shot, visits[shot.visit], arrivals.get(shot.shot_id, []), examine
+            ):
+                lost.add(shot.visit)
+        verified = {s.shot_id: s.sha256 for s in self.journal.shots() if s.state is ShotState.VERIFIED}
+        for shot_id, files in arrivals.items():
+            for file in files:
+                if not file.exists():
+                    continue
+                if hash_file(file) == verified.get(shot_id):
+                    file.unlink()  # the original of a frame that is safely here
+                else:
+                    self.set_aside(file, f"of shot {shot_id}, lost when the capture ended")
+
+    def _mend(self, shot: Shot, visit: Visit, arrivals: list[Path], examine: Examine) -> bool:
+        """Bring a filed or verified shot in order; False where it must be made again."""
+        path = self.folder / (shot.path or "")
+        # Frames of poses that count were checked when they were taken; hashing them all again takes hours.
+        if visit.done and path.is_file():
+            return True
+        if path.is_file() and hash_file(path) == shot.sha256:
+            if shot.state is ShotState.FILED:
+                self.journal.verify(shot.shot_id, examine(path, visit))
+            return True
+        for file in arrivals:
+            if file.exists() and hash_file(file) == shot.sha256:
+                self.take(shot, visit, file, examine(file, visit))
+                return True
+        self._forget(shot)
+        self.journal.withdraw(shot)
+        self.journal.note("withdrawn", shot_id=shot.shot_id, file=shot.path)
+        return False
+
+    def _forget(self, shot: Shot) -> None:
+        path = self.folder / (shot.path or "")
+        if shot.path and path.is_file():
+            self.set_aside(path, f"of shot {shot.shot_id}, which is made again")
+
+    def _arrivals(self, hot_folder: Path, shot_of: Callable[[Path], str | None]) -> dict[str, list[Path]]:
+        """Files in the hot folder, newer than the session, that carry the name of one of its shots."""
+        known = {shot.shot_id for shot in self.journal.shots()}
+        begun_s = (self.folder / SESSION_FILE).stat().st_mtime - CLOCK_SLACK_S
+        found: dict[str, list[Path]] = {}
+        for file in sorted(hot_folder.iterdir()):
+            if file.name.startswith(".") or not file.is_file() or file.stat().st_mtime < begun_s:
+                continue
+            shot_id = shot_of(file)
+            if shot_id in known:
+                found.setdefault(shot_id, []).append(file)
+        return found
+
+
+def frame_path(visit: Visit, frame: int, suffix: str) -> str:
+    """Place of a frame below the session's folder."""
+    return f"{FRAMES_FOLDER}/{visit.role}-{visit.pose:04d}-{frame}{suffix.lower()}"
+
+
+def shot_id(plan_hash: str, role: Role, pose: int, frame: int) -> str:
+    """Name of a shot: the same in every run of the same plan, and in no other plan."""
+    return f"{plan_hash[:8]}-{role}-{pose:04d}-{frame}"
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Write a file that is on the disk, whole and under its name, when this returns, or not there at all."""
+    aside = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    try:
+        with aside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        aside.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def sync_file(path: Path) -> None:
+    """Bring a file's content to the disk."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring a folder's names to the disk, where the system lets a folder be opened."""
+    with contextlib.suppress(PermissionError):  # Windows does not, and keeps names by itself
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+@contextlib.contextmanager
+def full_disk_in_one_line(folder: Path) -> Iterator[None]:
+    """Turn a full disk into one line that says how to go on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+            raise disk_full(folder) from error
+        raise
+
+
+def _copy_calibration(source: Path, folder: Path) -> dict[str, str]:
+    (folder / CALIBRATION_FOLDER).mkdir()
+    for file in sorted((source / CALIBRATION_FOLDER).glob("*.toml")):
+        write_durably(folder / CALIBRATION_FOLDER / file.name, file.read_bytes())
+    return calibration_hashes(folder)
+
+
+def _facts(
+    itinerary: Itinerary, rig_file: Path | None, calibration: dict[str, str], servos: Mapping[str, Any]
+) -> dict[str, Any]:
+    plan, rig = itinerary.plan, itinerary.rig
+    path = None if rig_file is None else str(rig_file.absolute())
+    return {
+        "gonio_session": FORMAT_VERSION,
+        "name": plan.name,
+        "sample": plan.sample,
+        "operator": getpass.getuser(),
+        "created": now(),
+        "plan": {"hash": plan.hash},
+        "rig": {"name": rig.name, "hash": rig.hash, "path": path},
+        "calibration": calibration,
+        "camera": rig.camera.serial,
+        "servos": dict(servos),
+        "versions": {"python": platform.python_version()}
+        | {library: metadata.version(library) for library in _LIBRARIES},
+        "conventions": CONVENTIONS,
+    }
