@@ -235,9 +235,13 @@ def default_rig(*, folder: str | Path = ".", **parts: Any) -> Rig:
     fields: dict[str, Any] = {
         "name": "gonio default",
         "joints": (
-            Joint(name="light_elevation", id=1, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0)),
+            Joint(
+                name="light_elevation", id=1, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0), park_deg=-45.0
+            ),
             Joint(name="camera_azimuth", id=2, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
-            Joint(name="camera_elevation", id=3, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0)),
+            Joint(
+                name="camera_elevation", id=3, axis=(0.0, 1.0, 0.0), limits_deg=(-85.0, 85.0), park_deg=45.0
+            ),
             Joint(name="turntable", id=4, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
             Joint(name="station_wheel", id=5, axis=(0.0, 0.0, 1.0), limits_deg=full_turn),
         ),

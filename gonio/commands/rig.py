@@ -109,6 +109,8 @@ def _print_checkup(found: dict[str, Any], table: str) -> None:
 
 
 def _move(rig: Rig, options: argparse.Namespace) -> int:
+    from rig.kinematics import Kinematics
+
     wanted = _parse_angles(rig, options.angles)
     if not wanted and options.station is None:
         raise BadInput("nothing to move", where="gonio rig move", todo=f"for example: {EXAMPLE}")
@@ -116,6 +118,8 @@ def _move(rig: Rig, options: argparse.Namespace) -> int:
     def move(machine: Machine) -> HeldPose:
         present = machine.arms.measure().angles_rad
         angles = [wanted.get(joint.name, angle) for joint, angle in zip(rig.arm_joints, present, strict=True)]
+        if wanted:
+            Kinematics(rig).check(angles)
         return machine.move(angles, options.station)
 
     return _run_machine(rig, options, move)

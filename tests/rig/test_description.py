@@ -176,8 +176,8 @@ def test_hash_sees_every_part(default_rig: Rig) -> None:
 
 def test_equal_rigs_hash_equal(default_rig: Rig) -> None:
     """Catch minus zero, which equals zero and is written differently."""
-    light = default_rig.joints[0].model_copy(update={"park_deg": -0.0})
-    other = default_rig.model_copy(update={"joints": (light, *default_rig.joints[1:])})
+    wheel = default_rig.joints[4].model_copy(update={"park_deg": -0.0})
+    other = default_rig.model_copy(update={"joints": (*default_rig.joints[:4], wheel)})
     assert other == default_rig
     assert other.hash == default_rig.hash
     assert len({other, default_rig}) == 1
@@ -233,7 +233,7 @@ def test_nobody_can_change_a_rig(default_rig: Rig) -> None:
         ("179.9", "180.0", "joints[1].limits_deg", "-180 to 179.91"),
         ("179.9", "179.96", "joints[1].limits_deg", "-180 to 179.91"),
         ("gear_ratio = 1.0", "gear_ratio = 2.5", "joints[0].limits_deg", "-72 to 71.96"),
-        ("park_deg = 0.0", "park_deg = 86.0", "joints[0].park_deg = 86.0", "-85 to 85"),
+        ("park_deg = -45.0", "park_deg = 86.0", "joints[0].park_deg = 86.0", "-85 to 85"),
         ("    0.0,\n    1.0,\n    0.0,\n", "    0.0,\n    0.0,\n    0.0,\n", "joints[0].axis", "not zero"),
         ("angle_deg = 144.0", "angle_deg = 181.0", "stations.sample1.angle_deg = 181.0", "-180 to 179.9"),
         ('    "station_wheel",\n', "", "station_wheel", "moves nothing"),
