@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 IN_PLANE_RAD = np.deg2rad(0.25)
 NEAR_INCIDENCE_RAD = np.deg2rad(0.25)
 MAX_LOBES = 5
+DARK_PERCENT = 30.0
+DARK = "#e3e7ea"
+FLAG_COLOURS = ("#b3352b", "#c9d2d8", "#2f7d4f", "#b5790a", "#6b4a8e", "#3f8f95")
 MAX_POINTS = 12_000
 WIDTH_IN = 7.2
 
@@ -69,18 +72,21 @@ def frame(radiance: Float, variance: Float, flags: NDArray[np.integer], channel:
     channel : (H, W) int
         Colour channel of each pixel; two-by-two quads become one picture element.
     """
+    from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 
     noise_percent = _relative_noise_percent(radiance, variance)
-    shown = noise_percent[np.isfinite(noise_percent) & (noise_percent > 0) & (noise_percent < 100)]
-    low, high = np.percentile(shown, [1, 99]) if shown.size else (0.1, 10.0)
+    noise_percent[~(noise_percent < DARK_PERCENT)] = np.nan
+    shown = noise_percent[np.isfinite(noise_percent)]
+    low, high = np.percentile(shown, [1, 97]) if shown.size else (0.1, 10.0)
     high = max(high, 1.5 * low)
     with figure(WIDTH_IN, 2.35) as drawn:
         panels = drawn.subplots(1, 3)
         panels[0].imshow(_picture(radiance, channel), interpolation="nearest")
         panels[0].set_title("Radiance")
+        colours = colormaps["cividis"].with_extremes(bad=DARK)
         image = panels[1].imshow(
-            noise_percent, cmap="cividis", norm=LogNorm(low, high), interpolation="nearest"
+            noise_percent, cmap=colours, norm=LogNorm(low, high), interpolation="nearest"
         )
         panels[1].set_title("Relative noise, %")
         bar = drawn.colorbar(image, ax=panels[1], shrink=0.72, pad=0.03)
@@ -129,10 +135,12 @@ def _draw_flags(axes: Axes, flags: NDArray[np.integer]) -> None:
 
     axes.imshow(np.full((*flags.shape, 3), 0.955), interpolation="nearest")
     handles = []
-    for index, flag in enumerate(Flag):
+    for index, flag in sorted(enumerate(Flag), key=lambda pair: pair[1] is not Flag.UNDER_RANGE):
         row, col = np.nonzero(flags & flag)
         if row.size:
-            (handle,) = axes.plot(col, row, "s", ms=2.2, mec="none", color=SERIES[index], rasterized=True)
+            (handle,) = axes.plot(
+                col, row, "s", ms=2.2, mec="none", color=FLAG_COLOURS[index], rasterized=True
+            )
             name = str(flag.name).lower().replace("_", " ")
             handles.append(
                 Line2D([], [], ls="", marker="s", ms=4, color=handle.get_color(), label=f"{name} {row.size}")
@@ -174,7 +182,8 @@ def _light_stations(samples: xr.Dataset, theta_i: Float) -> Float:
         return np.deg2rad(np.arange(0.0, 90.0, 0.25))
     pose = samples["pose"].to_numpy()
     medians = [np.round(np.median(theta_i[pose == number]), 3) for number in np.unique(pose)]
-    return np.asarray(np.unique(medians), dtype=np.float64)
+    stations: Float = np.unique(np.array(medians, dtype=np.float64))
+    return stations
 
 
 def lobes(samples: xr.Dataset, models: Mapping[str, Model], channel: int) -> bytes:

@@ -157,7 +157,7 @@ def frame(shown: ShownFrame) -> str:
         "Radiance, relative noise and flags of one merged frame",
         f"{escape(shown.caption)}. Radiance is the mean of each quad's sites in the camera's own channels, "
         "sRGB-encoded, not demosaiced. Noise is the merge's relative standard uncertainty, the root mean "
-        "square over each quad's pixels.",
+        f"square over each quad's pixels; pale where it exceeds {figures.DARK_PERCENT:g} %.",
     )
 
 

@@ -50,6 +50,7 @@ def measurement_of(
     *,
     title: str = "",
     truth: Mapping[str, ArrayLike] | None = None,
+    facts: Mapping[str, str] | None = None,
 ) -> Measurement:
     """Collect what a page shows of one session.
 
@@ -65,6 +66,8 @@ def measurement_of(
         The sample's name; by default the session's.
     truth : mapping of str to float or (C,), optional
         True parameters of the first model, where known.
+    facts : mapping of str to str, optional
+        What else is known of it, shown before the session's own.
     """
     images = SessionImages(session)
     return Measurement(
@@ -75,7 +78,7 @@ def measurement_of(
         frame=_frame_to_show(session, samples, images),
         sphere_png=sphere_png(fits[0].model) if fits else None,
         exposure_s=images.exposures(),
-        facts=session_facts(session, samples),
+        facts=dict(facts or {}) | session_facts(session, samples),
     )
 
 
@@ -114,9 +117,9 @@ def machine_facts(rig: Rig) -> dict[str, str]:
 def session_facts(session: Session, samples: xr.Dataset) -> dict[str, str]:
     """Say what was measured, when, and from which frames."""
     facts = {"Session": session.name}
-    created = getattr(session, "created", None)
-    if created:
-        facts["Measured"] = str(created)
+    for title, key in (("Measured", "created"), ("Operator", "operator")):
+        if session.facts.get(key):
+            facts[title] = str(session.facts[key])
     poses = np.unique(samples["pose"].to_numpy()).size
     facts["Extent"] = (
         f"{poses} poses, {samples.sizes['sample']} direction pairs, {samples.sizes['channel']} channels"
@@ -138,17 +141,17 @@ def _three_channels(parameters: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]
 
 
 def _frame_to_show(session: Session, samples: xr.Dataset, images: SessionImages) -> ShownFrame:
-    """Choose the pose whose samples differ most within one image: a lobe crosses it."""
+    """Choose a pose whose samples differ much within one image, a lobe crosses it, and fill it well."""
     pairs = {pair.sample.index: pair.sample for pair in images.pairs()}
     pose = samples["pose"].to_numpy()
     value = np.nanmean(np.where(np.isfinite(samples["f_r"]), samples["f_r"], np.nan), axis=1)
-    contrast = {}
+    interest = {}
     for index in pairs:
         seen = value[pose == index]
         if seen.size > 20:
-            low, high = np.percentile(seen, [5, 95])
-            contrast[index] = high - low
-    best = max(contrast, key=lambda index: contrast[index]) if contrast else min(pairs)
+            low, middle, high = np.percentile(seen, [5, 50, 95])
+            interest[index] = (high - low) / max(abs(middle), 1e-9) * seen.size**2
+    best = max(interest, key=lambda index: interest[index]) if interest else min(pairs)
     record = pairs[best]
     times = sorted({frame.exposure_s for frame in record.frames if frame.lit})
     angles = ", ".join(

@@ -160,7 +160,12 @@ class Measured:
 
         with Session.open(self.session) as session:
             return measurement_of(
-                session, self.samples, [self.fitted], title=self.sample.name, truth=self.truth
+                session,
+                self.samples,
+                [self.fitted],
+                title=self.sample.name,
+                truth=self.truth,
+                facts={"Material of the twin": self.sample.material},
             )
 
 
