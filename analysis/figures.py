@@ -178,11 +178,11 @@ def incidences(samples: xr.Dataset) -> list[float]:
 
 def _light_stations(samples: xr.Dataset, theta_i: Float) -> Float:
     """Give the angles at which the light stood: each pose's median, else every quarter of a degree."""
-    if "pose" not in samples:
-        return np.deg2rad(np.arange(0.0, 90.0, 0.25))
-    pose = samples["pose"].to_numpy()
-    medians = [np.round(np.median(theta_i[pose == number]), 3) for number in np.unique(pose)]
-    stations: Float = np.unique(np.array(medians, dtype=np.float64))
+    stations: Float = np.deg2rad(np.arange(0.0, 90.0, 0.25))
+    if "pose" in samples:
+        pose = samples["pose"].to_numpy()
+        medians = [np.round(np.median(theta_i[pose == number]), 3) for number in np.unique(pose)]
+        stations = np.unique(np.array(medians, dtype=np.float64))
     return stations
 
 

@@ -34,12 +34,15 @@ _SYMBOLS = {
 }
 
 _METRICS = {
-    "rms_log": "RMS of Δ ln(1 + f cos θ<sub>i</sub>)",
-    "l2_cos": "cosine-weighted RMS, sr<sup>−1</sup>",
-    "rms_cbrt": "RMS of Δ (f cos θ<sub>i</sub>)<sup>1/3</sup>",
+    "rms_log": "RMS Δ ln(1 + f cos θ<sub>i</sub>)",
+    "l2_cos": "RMS Δ f cos θ<sub>i</sub>, sr<sup>−1</sup>",
+    "rms_cbrt": "RMS Δ (f cos θ<sub>i</sub>)<sup>1/3</sup>",
     "median_relative": "median |Δf| / f",
-    "chi2_dof": "χ² per degree of freedom",
+    "chi2_dof": "χ² / dof",
 }
+
+SHOWN_MODELS = 2
+"""Models whose parameters and curves are shown; the goodness of all of them is."""
 
 
 def facts(items: Mapping[str, str]) -> str:
@@ -80,9 +83,8 @@ def parameters(measurement: Measurement) -> str:
     """Set the parameters of all fits, their goodness, and the rendered sphere."""
     tables = [
         _parameter_table(measurement, fitted, measurement.truth if index == 0 else None)
-        for index, fitted in enumerate(measurement.fits)
+        for index, fitted in enumerate(measurement.fits[:SHOWN_MODELS])
     ]
-    tables.append(_metrics_table(measurement.fits))
     sphere = ""
     if measurement.sphere_png is not None:
         name = escape(measurement.fits[0].model.NAME)
@@ -92,7 +94,8 @@ def parameters(measurement: Measurement) -> str:
             f"<figcaption>A sphere with the fitted {name} model, rendered by Mitsuba under a small lamp and "
             "a dim sky.</figcaption></figure>"
         )
-    return f'<h3>Parameters</h3><div class="pair"><div>{"".join(tables)}</div>{sphere}</div>'
+    pair = f'<div class="pair"><div>{"".join(tables)}</div>{sphere}</div>'
+    return f"<h3>Parameters</h3>{pair}{_metrics_table(measurement.fits)}"
 
 
 def _parameter_table(
@@ -126,9 +129,10 @@ def _symbol(name: str) -> str:
 
 def _metrics_table(fits: Sequence[FitResult]) -> str:
     names = [name for name in _METRICS if any(name in fitted.metrics for fitted in fits)]
-    head = ["Goodness of fit", *(escape(fitted.model.NAME) for fitted in fits)]
-    rows = [[_METRICS[name], *(number(fitted.metrics.get(name)) for fitted in fits)] for name in names]
-    return table(head, rows)
+    rows = [
+        [escape(fitted.model.NAME), *(number(fitted.metrics.get(name)) for name in names)] for fitted in fits
+    ]
+    return table(["Goodness of fit", *(_METRICS[name] for name in names)], rows)
 
 
 def _figure(svg: bytes, alt: str, caption: str) -> str:
@@ -168,7 +172,7 @@ def lobes(measurement: Measurement) -> str:
         return ""
     names = figures.channel_names(samples)
     channel = names.index("G") if "G" in names else 0
-    models = {fitted.model.NAME: fitted.model for fitted in measurement.fits[:4]}
+    models = {fitted.model.NAME: fitted.model for fitted in measurement.fits[:SHOWN_MODELS]}
     in_plane, near = np.rad2deg([figures.IN_PLANE_RAD, figures.NEAR_INCIDENCE_RAD])
     return "<h3>Lobes in the plane of incidence</h3>" + _figure(
         figures.lobes(samples, models, channel),

@@ -31,16 +31,23 @@ VERSIONS = ("gonio", "numpy", "scipy", "mitsuba", "bluesky")
 
 
 def fit_models(samples: xr.Dataset, names: Sequence[str] | None) -> list[FitResult]:
-    """Fit the models asked for, or all, of which the one with the smallest rms_log and Lambert are kept."""
+    """Fit the models asked for, in that order; by default all that differ, best first by rms_log.
+
+    Raises
+    ------
+    BadInput
+        For a model that does not exist, or samples that cannot determine one.
+    """
+    for name in names or ():
+        if name not in MODELS:
+            raise BadInput(
+                f"unknown model '{name}'", where="--model", todo=f"choose from {', '.join(MODELS)}"
+            )
     if names:
-        for name in names:
-            if name not in MODELS:
-                raise BadInput(
-                    f"unknown model '{name}'", where="--model", todo=f"choose from {', '.join(MODELS)}"
-                )
         return [fit(samples, name) for name in dict.fromkeys(names)]
-    ranked = sorted((fit(samples, name) for name in MODELS), key=lambda fitted: fitted.metrics["rms_log"])
-    return ranked[:1] + [fitted for fitted in ranked[1:] if fitted.model.NAME == "lambert"]
+    # Models that differ by a constant tie but for rounding: of those the last, the modern form, stands.
+    distinct = {f"{fitted.metrics['rms_log']:.6g}": fitted for fitted in (fit(samples, n) for n in MODELS)}
+    return sorted(distinct.values(), key=lambda fitted: fitted.metrics["rms_log"])
 
 
 def measurement_of(
@@ -141,25 +148,26 @@ def _three_channels(parameters: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]
 
 
 def _frame_to_show(session: Session, samples: xr.Dataset, images: SessionImages) -> ShownFrame:
-    """Choose a pose whose samples differ much within one image, a lobe crosses it, and fill it well."""
+    """Choose a pose of several exposures whose samples fill the image and differ much: a lobe crosses it."""
     pairs = {pair.sample.index: pair.sample for pair in images.pairs()}
     pose = samples["pose"].to_numpy()
     value = np.nanmean(np.where(np.isfinite(samples["f_r"]), samples["f_r"], np.nan), axis=1)
     interest = {}
-    for index in pairs:
+    for index, record in pairs.items():
         seen = value[pose == index]
         if seen.size > 20:
             low, middle, high = np.percentile(seen, [5, 50, 95])
-            interest[index] = (high - low) / max(abs(middle), 1e-9) * seen.size**2
+            exposures = len({frame.exposure_s for frame in record.frames})
+            interest[index] = (high - low) / max(abs(middle), 1e-9) * seen.size**2 * exposures**2
     best = max(interest, key=lambda index: interest[index]) if interest else min(pairs)
-    record = pairs[best]
-    times = sorted({frame.exposure_s for frame in record.frames if frame.lit})
+    chosen = pairs[best]
+    times = sorted({frame.exposure_s for frame in chosen.frames if frame.lit})
     angles = ", ".join(
         f"{joint.name.replace('_', ' ')} {np.rad2deg(angle):.2f}°"
-        for joint, angle in zip(session.rig.arm_joints, record.angles_rad, strict=True)
+        for joint, angle in zip(session.rig.arm_joints, chosen.angles_rad, strict=True)
     )
     caption = f"Pose {best} ({angles}), merged from {_listed(times)} s"
-    return ShownFrame(images.image(record), images.mosaic().channel, caption)
+    return ShownFrame(images.image(chosen), images.mosaic().channel, caption)
 
 
 def _listed(times: Sequence[float]) -> str:

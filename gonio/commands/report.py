@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 EXAMPLE = "gonio report sessions/blue-paint --model cook-torrance phong"
 
+LEAD = "Bidirectional reflectance from calibrated images, against a white reference, with uncertainty."
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
@@ -27,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="models to fit, the first is discussed (default: the best of all and Lambert)",
+        help="models to fit, the first is discussed (default: all, best first)",
     )
     parser.add_argument(
         "--out", metavar="FILE.html", help="write there (default: report.html in the session)"
@@ -54,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
         measurement = measurement_of(session, samples, fits)
         facts = machine_facts(session.rig)
     out = Path(options.out) if options.out else folder / "report.html"
-    write_report(out, measurement.title, [measurement], lead="BRDF measured by gonio", facts=facts)
+    title = f"Reflectance of {measurement.title}"
+    write_report(out, title, [measurement], lead=LEAD, facts=facts)
     if options.json:
         entries = [
             {

@@ -79,6 +79,16 @@ def test_a_short_demonstration_recovers_its_materials(tmp_path: Path) -> None:
     )
     assert json.loads(again.stdout)["poses"] == 12
     assert (tmp_path / "again.nc").read_bytes() == (session / "samples.nc").read_bytes()
+    report = subprocess.run(
+        [sys.executable, "-m", "gonio.cli", "report", str(session), "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    told = json.loads(report.stdout)
+    assert told["fits"][0]["model"] == "cook-torrance"
+    assert len(told["fits"]) == 5  # the two forms of Cook-Torrance tie
+    assert "Rough dielectric" in Path(told["report"]).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -1,0 +1,56 @@
+"""`gonio reduce` and `gonio report` from outside: what is refused, and how. The way through is in test_demo."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _gonio(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "gonio.cli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("reduce", "{empty}"), "not a session"),
+        (("reduce", "{missing}"), "not a session"),
+        (("reduce", "{empty}", "--bin-px", "7"), "--bin-px"),
+        (("reduce", "{empty}", "--bin-px", "0"), "--bin-px"),
+        (("reduce", "{empty}", "--max-theta-deg", "90"), "--max-theta-deg"),
+        (("report", "{empty}"), "not a session"),
+        (("report", "{missing}", "--json"), "not a session"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path: Path, arguments: tuple[str, ...], named: str) -> None:
+    """Catches tracebacks, and messages that do not name what is wrong."""
+    folders = {"empty": str(tmp_path), "missing": str(tmp_path / "missing")}
+    done = _gonio(*(argument.format(**folders) for argument in arguments))
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert named in done.stderr
+
+
+@pytest.mark.parametrize("command", ["reduce", "report", "demo"])
+def test_help_shows_an_example_and_loads_nothing_heavy(command: str) -> None:
+    """Catches a help page without an example, and imports that make it slow."""
+    probe = (
+        "import sys; from gonio.cli import main\n"
+        "try: main([sys.argv[1], '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'xarray', 'mitsuba', 'matplotlib', 'pydantic', 'colour'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {sorted(heavy)}' if heavy else 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", probe, command], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"gonio {command}" in done.stdout.split("example:")[1]
