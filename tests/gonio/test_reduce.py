@@ -1,4 +1,4 @@
-"""`gonio reduce` and `gonio report` from outside: what is refused, and how. The way through is in test_demo."""
+"""`gonio reduce` and `gonio report` from outside: what is refused, and how; test_demo goes the whole way."""
 
 from __future__ import annotations
 
