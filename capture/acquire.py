@@ -17,7 +17,7 @@ from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visi
 from capture.store import Store, shot_id
 from rig.devices import ArmsDevice, CameraDevice, PoseGoal
 from rig.devices import Shot as Exposure
-from rig.errors import GonioError, Refused, Transient
+from rig.errors import Refused, Transient
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -206,14 +206,11 @@ class Acquisition:
         yield from plan_stubs.save()
 
 
-def cause_of(error: BaseException) -> GonioError | None:
-    """Find our own error behind what the engine raises; None where there is none."""
-    seen: BaseException | None = error
-    while seen is not None:
-        if isinstance(seen, GonioError):
-            return seen
-        seen = seen.__cause__
-    return None
+def cause_of(error: Exception) -> BaseException:
+    """Find the error of a device behind what the engine raises; any other is its own cause."""
+    if isinstance(error, FailedStatus) and error.__cause__ is not None:
+        return error.__cause__
+    return error
 
 
 def _observations(shots: Sequence[Shot]) -> list[Observation]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from typing import TYPE_CHECKING, Any
 
 from bluesky import RunEngine
@@ -10,6 +11,9 @@ from bluesky import RunEngine
 if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
+
+# The engine logs every failed plan with its traceback; what a person needs to know is in our own one line.
+logging.getLogger("bluesky").addHandler(logging.NullHandler())
 
 
 class DocumentLog:

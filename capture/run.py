@@ -165,13 +165,14 @@ class _Run:
             try:
                 self._passes()
             except Exception as error:
-                self._journal_end(error)
-                ours = cause_of(error)
-                if self.wishes.controls.abort_requested and ours is not None:
+                cause = cause_of(error)
+                self._journal_end(cause)
+                if not isinstance(cause, GonioError):
+                    raise cause from error
+                if self.wishes.controls.abort_requested:
                     return self._result()  # whoever aborted knows why
-                if ours is None:
-                    raise
-                raise type(ours)(ours.what, where=ours.where, todo=self._then_resume(ours.todo)) from error
+                todo = self._then_resume(cause.todo)
+                raise type(cause)(cause.what, where=cause.where, todo=todo) from error
             self._journal_end(None)
             return self._result()
 
@@ -279,7 +280,7 @@ class _Run:
         report = self.machine.stop()
         with suppress(GonioError):
             if error is not None:
-                self.journal.note("failed", error=str(cause_of(error) or error))
+                self.journal.note("failed", error=str(error))
             else:
                 self.journal.note("finished" if self._complete() else "interrupted")
             self.journal.note("stopped", **report.as_dict())

@@ -1,0 +1,155 @@
+"""Run a plan on a machine into a session, or resume one.
+
+The first Ctrl-C finishes the frame, a second one aborts; `gonio rig stop` from another terminal stops too.
+However it ends, light and arms are stopped, and `gonio capture --resume SESSION` goes on.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.output import Progress, add_json_option, print_json
+from rig.errors import BadInput, GonioError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from capture.wishes import CaptureResult, Wishes
+    from gonio.signals import StopRequests
+
+EXAMPLE = (
+    "gonio capture plan.toml --rig rig.toml --out brass    then, if interrupted: gonio capture --resume brass"
+)
+
+POLL_S = 0.1
+"""How often a question looks whether Ctrl-C has answered it."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("plan", nargs="?", type=Path, metavar="PLAN", help="a plan that gonio plan wrote")
+    parser.add_argument("--rig", type=Path, metavar="FILE", help="the machine; default: rig.toml")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="the new session")
+    parser.add_argument("--resume", type=Path, metavar="SESSION", help="go on with this session")
+    parser.add_argument("--servos", metavar="PORT", help="serial port of the servos, instead of the file's")
+    parser.add_argument("--lamp", metavar="PORT", help="serial port of the lamp, instead of the file's")
+    parser.add_argument("--frames", type=Path, metavar="FOLDER", help="hot folder, instead of the file's")
+    parser.add_argument(
+        "--mounted",
+        default="",
+        metavar="white,sample",
+        help="on a machine without a wheel: what need not be asked for",
+    )
+    add_json_option(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Capture: 0 when all is recorded, else as for every command; 130 after Ctrl-C, 143 after SIGTERM."""
+    from gonio.signals import StopRequests
+
+    mounted = _mounted(options.mounted)
+    if options.resume is None and (options.plan is None or options.out is None):
+        raise BadInput("nothing to do", where="gonio capture", todo=f"for example: {EXAMPLE}")
+    if options.resume is not None and options.out is not None:
+        raise BadInput("--out and --resume", where="gonio capture", todo="give one of them")
+    with StopRequests("frame") as requests:
+        wishes = _wishes(requests, mounted)
+        try:
+            result = _capture(options, wishes)
+        except GonioError as error:
+            if requests.exit_code is None:
+                raise
+            print(f"gonio capture: {' '.join(str(error).split())}", file=sys.stderr)
+            return requests.exit_code
+        exit_code = requests.exit_code
+    _print_result(result, json=options.json)
+    if result.complete:
+        return 0
+    return exit_code if exit_code is not None else 3
+
+
+def _capture(options: argparse.Namespace, wishes: Wishes) -> CaptureResult:
+    from capture.run import capture, resume
+
+    ports = {"servos": options.servos, "lamp": options.lamp, "frames": options.frames}
+    if options.resume is not None:
+        return resume(options.resume, plan=options.plan, rig=options.rig, wishes=wishes, **ports)
+    from rig.description import load_rig
+
+    rig_file = options.rig or Path("rig.toml")
+    rig = load_rig(rig_file, **ports)
+    return capture(options.plan, rig, options.out, rig_file=rig_file, wishes=wishes)
+
+
+def _mounted(text: str) -> frozenset[str]:
+    roles = frozenset(part.strip() for part in text.split(",") if part.strip())
+    unknown = roles - {"white", "sample"}
+    if unknown:
+        raise BadInput(
+            f"nothing is called {sorted(unknown)[0]!r}", where="--mounted", todo="name white, sample, or both"
+        )
+    return roles
+
+
+def _wishes(requests: StopRequests, mounted: frozenset[str]) -> Wishes:
+    from capture.wishes import Wishes
+
+    bar: list[Progress] = []
+
+    def progress(done: int, total: int, note: str) -> None:
+        if not bar:
+            bar.append(Progress("capture", total - done + 1))
+        bar[0](1, note)
+
+    return Wishes(
+        controls=requests,
+        mount=(lambda _role, label: _ask(requests, label)) if sys.stdin.isatty() else None,
+        mounted=mounted,
+        progress=progress,
+        say=lambda line: print(f"gonio capture: {line}", file=sys.stderr),
+    )
+
+
+def _ask(requests: StopRequests, label: str) -> bool:
+    """Ask a person to mount something; False where he presses Ctrl-C or closes the input instead.
+
+    A thread reads the line, because reading it here would keep Ctrl-C waiting for the Enter key.
+    """
+    import threading
+
+    print(f"Mount {label}, then press Enter (Ctrl-C to stop here): ", end="", file=sys.stderr, flush=True)
+    answer: list[str] = []
+    reader = threading.Thread(target=lambda: answer.append(sys.stdin.readline()), daemon=True)
+    reader.start()
+    while reader.is_alive() and not requests.finish_requested:
+        reader.join(POLL_S)
+    return bool(answer and answer[0]) and not requests.finish_requested
+
+
+def _print_result(result: CaptureResult, *, json: bool) -> None:
+    stopped = result.stop.outcome.value if result.stop is not None else "unknown"
+    facts: dict[str, Any] = {
+        "session": str(result.session),
+        "complete": result.complete,
+        "poses": result.poses,
+        "refused": result.refused,
+        "flagged": result.flagged,
+        "frames": result.frames,
+        "seconds": result.seconds,
+        "stop": stopped,
+    }
+    if json:
+        print_json(facts)
+    else:
+        flagged = f", {result.flagged} flagged" if result.flagged else ""
+        print(
+            f"{result.session}: {result.poses} poses, {result.frames} frames{flagged}, "
+            f"{result.seconds:.1f} s; light off and arms stopped: {stopped}"
+        )
+    if not result.complete:
+        print(
+            f"gonio capture: interrupted; go on with: gonio capture --resume {result.session}",
+            file=sys.stderr,
+        )

@@ -1,0 +1,328 @@
+"""Captures on the twin: poses, frames, documents, death at every step and on again, no wheel."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from capture import store as store_module
+from capture.journal import Journal
+from capture.raw import read_raw
+from capture.run import capture, resume
+from capture.session import Session
+from capture.wishes import Wishes
+from rig.description import dump_rig, load_rig
+from rig.errors import Refused, Transient
+from rig.kinematics import Kinematics
+from rig.machine import Machine
+from simulator.twin import Twin
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from capture.plan import Plan
+
+
+def facts_of(session: Path) -> dict[str, Any]:
+    """Return all of a session that must not depend on how often it was interrupted."""
+    with Journal(session / "journal.db", read_only=True) as journal:
+        shots = [(s.shot_id, s.visit, s.frame, s.exposure_s, s.path, s.sha256) for s in journal.shots()]
+        statistics = [s.statistics for s in journal.shots()]
+        return {"visits": journal.visits(), "shots": shots, "statistics": statistics}
+
+
+@pytest.fixture(scope="module")
+def reference(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return an uninterrupted session of the default plan."""
+    from capture.plan import plan_from
+
+    content = {
+        "plan": {"name": "brass", "sample": "sample1"},
+        "darks": {"count": 1},
+        "poses": [{"kind": "sweep", "theta_i_deg": [30], "theta_o_deg": [-30, 0, 30]}],
+    }
+    out = tmp_path_factory.mktemp("reference") / "s"
+    assert capture(plan_from(content, "test"), twin.rig, out).complete
+    return out
+
+
+def test_a_session_holds_every_pose_once(reference: Path) -> None:
+    """Would catch a pose forgotten, doubled, or recorded where the arms were not."""
+    with Session.open(reference) as session:
+        assert session.complete()
+        assert session.damaged() == []
+        kinematics = Kinematics(session.rig)
+        planned = {pose.index: pose for pose in session.planned()}
+        assert [pose.refused is None for pose in planned.values()] == [False, True, True]
+        for role in ("sample", "white"):
+            records = session.poses(role)
+            assert [record.index for record in records] == [1, 2]
+            for record in records:
+                wi, wo = kinematics.directions(record.angles_rad)
+                np.testing.assert_allclose(wi, planned[record.index].wi, atol=2e-3)
+                np.testing.assert_allclose(wo, planned[record.index].wo, atol=2e-3)
+                assert all(frame.lit for frame in record.frames)
+        used = [
+            frame.exposure_s
+            for role in ("sample", "white")
+            for p in session.poses(role)
+            for frame in p.frames
+        ]
+        darks = session.poses("dark")
+        assert [dark.frames[0].exposure_s for dark in darks] == [min(used), max(used)]
+        assert not any(frame.lit for dark in darks for frame in dark.frames)
+
+
+def test_frames_are_what_their_rows_say(reference: Path) -> None:
+    """Would catch frames filed under another shot's name: white and sample exchanged."""
+    with Session.open(reference) as session:
+        records = session.poses()
+        for record, frame in ((r, f) for r in records for f in r.frames):
+            raw = read_raw(frame.path)
+            assert raw.shot_id == frame.shot_id
+            assert raw.exposure_s == frame.exposure_s
+            assert raw.lit == frame.lit
+            assert f"-{record.role}-{record.index:04d}-" in frame.shot_id
+
+
+def test_bright_parts_are_well_exposed(reference: Path) -> None:
+    """Would catch exposures chosen from something else than what the sensor saw."""
+    with Session.open(reference) as session:
+        for record in session.poses("sample") + session.poses("white"):
+            shown = [
+                s.statistics
+                for s in session.journal.shots()
+                if s.shot_id in {f.shot_id for f in record.frames}
+            ]
+            clear = [s.brightness for s in shown if s is not None and s.clipped_fraction <= 0.002]
+            assert record.flags == 0
+            assert max(clear) >= 0.1
+
+
+def test_documents_tell_runs_and_readings(reference: Path) -> None:
+    """Would catch an engine whose documents are lost, without units, or without the poses."""
+    lines = [json.loads(line) for line in (reference / "documents.jsonl").read_text().splitlines()]
+    starts = [document for name, document in lines if name == "start"]
+    stops = [document for name, document in lines if name == "stop"]
+    assert [start["role"] for start in starts] == ["white", "sample", "dark"]
+    assert {start["plan_name"] for start in starts} == {"brass"}
+    assert [stop["exit_status"] for stop in stops] == ["success"] * 3
+    descriptor = next(document for name, document in lines if name == "descriptor")
+    assert descriptor["data_keys"]["arms_light_elevation_deg"]["units"] == "deg"
+    events = [document["data"]["camera_shot_id"] for name, document in lines if name == "event"]
+    with Session.open(reference) as session:
+        assert events == [shot.shot_id for shot in session.journal.shots()]
+
+
+STEPS: list[tuple[Any, str]] = [
+    (Journal, "hold"),
+    (Journal, "intend"),
+    (Machine, "shoot"),
+    (Journal, "file"),
+    (store_module, "write_durably"),
+    (Journal, "verify"),
+    (Journal, "finish"),
+]
+
+
+@pytest.mark.parametrize(
+    "case",
+    [(place, step, after) for (place, step), after in itertools.product(STEPS, [False, True])],
+    ids=[f"{when} {step}" for (_, step), when in itertools.product(STEPS, ["before", "after"])],
+)
+def test_a_death_at_any_step_leaves_no_trace_in_the_data(  # noqa: PLR0917 - fixtures
+    twin: Twin,
+    reference: Path,
+    tmp_path: Path,
+    make_plan: Callable[..., Plan],
+    monkeypatch: pytest.MonkeyPatch,
+    case: tuple[Any, str, bool],
+) -> None:
+    """Would catch a resumed session that differs from an uninterrupted one by a single bit."""
+    place, step, after = case
+    out = tmp_path / "s"
+    real = getattr(place, step)
+    calls = 0
+
+    def die(*args: Any, **options: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        result = real(*args, **options) if calls != 4 or after else None
+        if calls == 4:
+            raise RuntimeError("killed")
+        return result
+
+    with monkeypatch.context() as patch:
+        patch.setattr(place, step, die)
+        if step == "write_durably":
+            calls = -1  # the copy of the calibration is not a frame
+        with pytest.raises(Exception, match="killed"):
+            capture(make_plan(), twin.rig, out)
+    with Session.open(out) as session:
+        assert not session.complete()
+    assert resume(out).complete
+    assert facts_of(out) == facts_of(reference)
+    with Session.open(out) as session:
+        assert session.damaged() == []
+
+
+def test_a_passing_fault_is_shot_again_under_its_own_name(
+    twin: Twin,
+    reference: Path,
+    tmp_path: Path,
+    make_plan: Callable[..., Plan],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Would catch a night that ends at the first late file, or a shot that changes its name on the way."""
+    real, calls = Machine.shoot, 0
+
+    def shoot(self: Machine, *args: Any, **options: Any) -> Path:
+        nonlocal calls
+        calls += 1
+        if calls in {2, 3}:
+            raise Transient("its picture did not arrive", where="test", todo="shoot again")
+        return real(self, *args, **options)
+
+    monkeypatch.setattr(Machine, "shoot", shoot)
+    assert capture(make_plan(), twin.rig, tmp_path / "s").complete
+    assert facts_of(tmp_path / "s") == facts_of(reference)
+    with Session.open(tmp_path / "s") as session:
+        assert [event.kind for event in session.events()].count("retry") == 2
+
+
+def test_a_fault_that_stays_ends_the_run_and_says_how_to_go_on(
+    twin: Twin, tmp_path: Path, make_plan: Callable[..., Plan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Would catch a loop that shoots for ever, and an error that leaves the person without the next step."""
+
+    def shoot(_self: Machine, *_args: Any, **_options: Any) -> Path:
+        raise Transient("its picture did not arrive", where="test", todo="shoot again")
+
+    monkeypatch.setattr(Machine, "shoot", shoot)
+    with pytest.raises(Transient, match=r"did not arrive.*gonio capture --resume .*s$"):
+        capture(make_plan(), twin.rig, tmp_path / "s")
+    with Session.open(tmp_path / "s") as session:
+        kinds = [event.kind for event in session.events()]
+        assert kinds.count("retry") == 2
+        assert kinds[-2:] == ["failed", "stopped"]
+
+
+def test_finishing_ends_after_the_frame_and_resumes(
+    twin: Twin, reference: Path, tmp_path: Path, make_plan: Callable[..., Plan]
+) -> None:
+    """Would catch a first Ctrl-C that waits for the end of the pass, or loses the frame under way."""
+
+    class AfterFirstFrame:
+        finish_requested = abort_requested = False
+
+        def on_abort(self, callback: Callable[[], object]) -> None:
+            del callback
+
+    controls = AfterFirstFrame()
+    out = tmp_path / "s"
+
+    def stop_now(*_args: object) -> None:
+        controls.finish_requested = True
+
+    first = capture(make_plan(), twin.rig, out, wishes=Wishes(controls=controls, progress=stop_now))
+    assert not first.complete
+    assert first.stop is not None
+    assert first.stop.outcome.value == "confirmed"
+    assert resume(out).complete
+    assert facts_of(out) == facts_of(reference)
+
+
+def test_resume_refuses_another_plan_machine_or_calibration(
+    twin: Twin, reference: Path, tmp_path: Path, make_plan: Callable[..., Plan]
+) -> None:
+    """Would catch frames of two machines in one session."""
+    from capture.plan import dump_plan
+
+    dump_plan(make_plan(darks={"count": 9}), tmp_path / "other.toml")
+    with pytest.raises(Refused, match="not the session's plan"):
+        resume(reference, plan=tmp_path / "other.toml")
+    rig = load_rig(twin.rig)
+    lamp = rig.lamp.model_copy(update={"distance_mm": 501.0})
+    dump_rig(rig.model_copy(update={"lamp": lamp}), tmp_path / "moved.toml")
+    with pytest.raises(Refused, match="description has changed"):
+        resume(reference, rig=tmp_path / "moved.toml")
+    dump_rig(rig, tmp_path / "rig.toml")
+    with pytest.raises(Refused, match=r"calibration has changed.*sensor\.toml"):
+        resume(reference, rig=tmp_path / "rig.toml")
+    with pytest.raises(Refused, match="--rig"):
+        resume(reference, rig=tmp_path / "gone.toml")
+
+
+def test_resuming_a_complete_session_shoots_nothing(twin: Twin, reference: Path) -> None:
+    """Would catch a second set of darks."""
+    before, shots = facts_of(reference), len(twin.wire_log())
+    assert resume(reference).complete
+    assert facts_of(reference) == before
+    assert not [event for event in twin.wire_log()[shots:] if event.get("event") == "exposed"]
+
+
+def test_another_camera_is_refused(
+    twin: Twin, reference: Path, make_plan: Callable[..., Plan], tmp_path: Path
+) -> None:
+    """Would catch a session whose frames come from two cameras, where the rig file names none."""
+    out = tmp_path / "s"
+    calls = iter([False, True])
+
+    class Once:
+        abort_requested = False
+
+        @property
+        def finish_requested(self) -> bool:
+            return next(calls, True)
+
+        def on_abort(self, callback: Callable[[], object]) -> None:
+            del callback
+
+    capture(make_plan(), twin.rig, out, wishes=Wishes(controls=Once()))
+    journal = Journal(out / "journal.db")
+    with journal._change() as change:
+        change.execute(
+            "UPDATE events SET detail = ? WHERE kind = 'camera'",
+            (json.dumps({"serial": "X1", "model": "other"}),),
+        )
+    journal.close()
+    with pytest.raises(Refused, match="of camera TWIN-0001"):
+        resume(out)
+
+
+def test_a_machine_without_a_wheel_asks_between_passes(
+    tmp_path: Path, make_plan: Callable[..., Plan]
+) -> None:
+    """Would catch a white pass over the sample: nobody was asked, or the light burned while he mounted."""
+    from rig.description import default_rig
+
+    rig = default_rig(folder=tmp_path)
+    bare = default_rig(
+        folder=tmp_path,
+        joints=tuple(joint for joint in rig.joints if joint.name != "station_wheel"),
+        arms=rig.arms.model_copy(update={"station": ()}),
+        stations={},
+    )
+    dump_rig(bare, tmp_path / "bare.toml")
+    plan = make_plan(plan={"name": "velvet", "sample": "velvet"})
+    with Twin({"sample": "lambert:kd=0.5"}, rig=tmp_path / "bare.toml", speed=200.0, folder=tmp_path) as twin:
+        asked: list[tuple[str, bool]] = []
+
+        def mount(role: str, _label: str) -> bool:
+            lights = [event["on"] for event in twin.wire_log() if event.get("event") == "light"]
+            asked.append((role, bool(lights and lights[-1])))
+            return role != "sample"
+
+        with pytest.raises(Refused, match="--mounted white"):
+            capture(plan, twin.rig, tmp_path / "nobody")
+        result = capture(plan, twin.rig, tmp_path / "s", wishes=Wishes(mount=mount))
+        assert asked == [("white", False), ("sample", False)]
+        assert not result.complete
+        assert resume(tmp_path / "s", wishes=Wishes(mounted={"sample"})).complete
+        with Session.open(tmp_path / "s") as session:
+            assert [p.station for p in session.poses()] == [None] * 6
