@@ -8,6 +8,7 @@ before Mitsuba loads, and handed to Dr.Jit in `DRJIT_LIBLLVM_PATH`.
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 import re
 import sys
@@ -208,5 +209,6 @@ def load_mitsuba(asked: str | None = None, *, say: Callable[[str], object] | Non
     return mitsuba
 
 
+@functools.cache  # once for each line is enough for a person
 def _say(line: str) -> None:
     sys.stderr.write(line + "\n")
