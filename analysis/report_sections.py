@@ -245,11 +245,12 @@ def pixels(measurement: Measurement) -> str:
 
 
 def _counts(samples: xr.Dataset) -> str:
-    groups = {"pixels_": "pixels of the sample", "dropped_": "channel values of bins"}
-    rows = [
-        [escape(name.removeprefix(prefix).replace("_", " ")), label, str(int(count))]
-        for prefix, label in groups.items()
-        for name, count in samples.attrs.items()
-        if name.startswith(prefix)
-    ]
-    return table(["Flagged or dropped", "of", "Count"], rows) if rows else ""
+    tables = []
+    for prefix, label in (("pixels_", "Pixels of the sample"), ("dropped_", "Values of bins dropped")):
+        rows = [
+            [escape(name.removeprefix(prefix).replace("_", " ")), str(int(count))]
+            for name, count in samples.attrs.items()
+            if name.startswith(prefix)
+        ]
+        tables.append(table([label, "Count"], rows) if rows else "")
+    return f'<div class="side">{"".join(tables)}</div>' if any(tables) else ""

@@ -25,6 +25,7 @@ from rig.errors import BadInput, DeviceLost, Refused
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
+    from types import TracebackType
 
     import xarray as xr
 
@@ -193,11 +194,10 @@ def _measure(out: Path, seed: int, speed: float, poses: int | None) -> list[Meas
     materials = {sample.station: sample.material for sample in SAMPLES}
     measured: list[Measured] = []
     with Twin(materials, seed=seed, speed=speed, folder=out / "twin", log=False) as twin:
-        for sample in SAMPLES:
-            capture = _Capture(out, sample, few(sample.poses, poses), twin.rig)
-            if waiting := SAMPLES[len(measured) : SAMPLES.index(sample)]:
+        for number, sample in enumerate(SAMPLES):
+            with _Capture(out, sample, few(sample.poses, poses), twin.rig):
+                waiting = SAMPLES[len(measured) : number]
                 measured += [Measured(earlier, _session(out, earlier)) for earlier in waiting]
-            capture.finish()
     measured += [Measured(sample, _session(out, sample)) for sample in SAMPLES[len(measured) :]]
     return measured
 
@@ -220,15 +220,22 @@ class _Capture:
             stdout=subprocess.DEVNULL,
         )
 
-    def finish(self) -> None:
-        """Wait for its end."""
+    def __enter__(self) -> _Capture:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Wait for its end, which a failure on our side brings about."""
+        if kind is not None and kind is not KeyboardInterrupt:
+            self._process.terminate()
         try:
             code = self._process.wait()
         except KeyboardInterrupt:
             # It has heard Ctrl-C too and is putting the machine to rest.
             self._process.wait()
             raise
-        if code:
+        if code and kind is None:
             raise DeviceLost(
                 f"the capture of {self._name} ended with code {code}",
                 where="demo",
