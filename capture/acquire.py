@@ -6,11 +6,12 @@ every decision is taken from there.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bluesky import plan_stubs
-from bluesky.utils import FailedStatus
+from bluesky.utils import FailedStatus, Msg
 
 from capture.exposure import Chooser, Observation
 from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visit
@@ -20,15 +21,12 @@ from rig.devices import Shot as Exposure
 from rig.errors import Refused, Transient
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
-
-    from bluesky.utils import Msg
-
     from capture.examine import CameraFacts, Examiner
     from capture.journal import Journal
     from rig.machine import HeldPose
 
-    Messages = Generator[Msg, Any, None]
+Messages: TypeAlias = Generator[Msg, Any, None]
+"""A Bluesky plan."""
 
 TRIES = 3
 """How often a shot is made before a passing fault counts as one that stays."""

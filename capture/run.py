@@ -11,6 +11,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bluesky.utils import RunEngineInterrupted
+
 from capture.acquire import Acquisition, cause_of
 from capture.documents import DocumentLog, make_engine
 from capture.examine import Examiner
@@ -34,6 +36,9 @@ from rig.errors import GonioError, Refused
 from rig.machine import open_machine
 
 if TYPE_CHECKING:
+    from bluesky import RunEngine
+
+    from capture.acquire import Messages
     from capture.statistics import FrameStatistics
     from rig.machine import Machine
 
@@ -164,6 +169,9 @@ class _Run:
         with closing(self.journal):
             try:
                 self._passes()
+            except KeyboardInterrupt:
+                self._journal_end(None)
+                raise
             except Exception as error:
                 cause = cause_of(error)
                 self._journal_end(cause)
@@ -190,9 +198,17 @@ class _Run:
                 if left and not self._mount(role):
                     return
                 if left:
-                    engine(self._acquisition(arms, camera).run(left, self._metadata(role)))
+                    self._run_engine(engine, self._acquisition(arms, camera).run(left, self._metadata(role)))
                 if self.wishes.controls.finish_requested:
                     return
+
+    def _run_engine(self, engine: RunEngine, plan: Messages) -> None:
+        """Run a plan; a Ctrl-C that nobody handles stops the machine at once, also within an exposure."""
+        try:
+            engine(plan)
+        except RunEngineInterrupted:
+            self.machine.stop()
+            raise KeyboardInterrupt from None
 
     def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
         asked = self.plan.exposure

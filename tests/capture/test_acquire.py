@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
+import signal
+import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -235,6 +239,31 @@ def test_finishing_ends_after_the_frame_and_resumes(
     assert first.stop.outcome.value == "confirmed"
     assert resume(out).complete
     assert facts_of(out) == facts_of(reference)
+
+
+def test_a_ctrl_c_that_nobody_handles_stops_within_the_exposure(
+    tmp_path: Path, make_plan: Callable[..., Plan]
+) -> None:
+    """Would catch a script's Ctrl-C that the engine swallows, or that waits for the end of an exposure."""
+    plan = make_plan(exposure={"first_s": 60.0})
+    out = tmp_path / "s"
+    with Twin({"sample1": "lambert:kd=0.5"}, speed=3.0) as twin:
+
+        def interrupt() -> None:
+            while not any(event.get("event") == "shutter" for event in twin.wire_log()):
+                time.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGINT)
+
+        watcher = threading.Thread(target=interrupt)
+        watcher.start()
+        began_s = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            capture(plan, twin.rig, out)
+        assert time.monotonic() - began_s < 15.0
+        watcher.join()
+        assert not [event["on"] for event in twin.wire_log() if event.get("event") == "light"][-1]
+    with Session.open(out) as session:
+        assert [event.kind for event in session.events()][-2:] == ["interrupted", "stopped"]
 
 
 def test_resume_refuses_another_plan_machine_or_calibration(
