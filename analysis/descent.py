@@ -1,11 +1,14 @@
-"""Bounded nonlinear least squares in few parameters and many residuals.
+"""Bounded nonlinear least squares in few parameters and many residuals, for many problems at once.
 
 Levenberg-Marquardt (Marquardt 1963; damping as Nielsen 1999) on the normal equations, with parameters on a
 bound taken out of the step while the gradient holds them there (Bertsekas 1982). The usual libraries factor
 the whole Jacobian at every step, thousands of rows for a handful of columns, and keep strictly inside the
-bounds; here a step costs one product of the Jacobian with itself, and a scale that is zero becomes exactly
-zero. Normal equations square the condition number, which is harmless for the well-scaled coordinates of
-`analysis.solver`.
+bounds; here a step costs one set of normal equations, and a scale that is zero becomes exactly zero. Normal
+equations square the condition number, which is harmless for the well-scaled coordinates of
+`analysis.solver`: a step need not be exact, only the gradient must be.
+
+Starts of one fit, or replicas of it, advance together: each keeps its own damping and ends on its own, and
+all share the calls of numpy, which for small problems are most of the time.
 """
 
 from __future__ import annotations
@@ -19,89 +22,139 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Array = NDArray[np.float64]
+Members = NDArray[np.intp]
 
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e12
 
 
-class Minimum(NamedTuple):
-    """Where the search ended: parameters (P,) and half the sum of squares."""
+class Equations(NamedTuple):
+    """What a sum of squares is like at M points.
+
+    Attributes
+    ----------
+    cost : ndarray, shape (M,)
+        Half the sum of squares.
+    normal : ndarray, shape (M, P, P)
+        J^T J, or another positive semidefinite model of the curvature.
+    gradient : ndarray, shape (M, P)
+        J^T r.
+    """
+
+    cost: Array
+    normal: Array
+    gradient: Array
+
+
+class Minima(NamedTuple):
+    """Where the searches ended: parameters (M, P) and half the sums of squares (M,)."""
 
     x: Array
-    cost: float
+    cost: Array
+
+
+def from_residuals(
+    residual: Callable[[Array], Array], jacobian: Callable[[Array], Array]
+) -> Callable[[Array, Members], Equations]:
+    """Make normal equations of one problem's residuals (R,) and Jacobian (R, P), functions of (P,)."""
+
+    def linearise(x: Array, members: Members) -> Equations:
+        del members
+        r = [residual(point) for point in x]
+        slopes = [jacobian(point) for point in x]
+        return Equations(
+            np.array([0.5 * float(each @ each) for each in r]),
+            np.array([each.T @ each for each in slopes]),
+            np.array([matrix.T @ each for matrix, each in zip(slopes, r, strict=True)]),
+        )
+
+    return linearise
 
 
 def descend(
-    residual: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
+    linearise: Callable[[Array, Members], Equations],
     start: Array,
     bounds: tuple[Array, Array],
     *,
     tolerance: float,
     most: int,
-) -> Minimum:
-    """Minimise half a sum of squares within bounds.
+) -> Minima:
+    """Minimise half a sum of squares within bounds, from several starts or for several problems.
 
     Parameters
     ----------
-    residual : callable
-        Parameters (P,) to residuals (R,).
-    jacobian : callable
-        Parameters (P,) to the residuals' derivatives (R, P).
-    start : ndarray, shape (P,)
+    linearise : callable
+        Parameters (K, P) and the numbers (K,) of the rows of `start` that they belong to, to their
+        `Equations`.
+    start : ndarray, shape (M, P)
         Where to begin; brought within the bounds.
     bounds : tuple of ndarray, shape (P,)
         Lowest and highest values.
     tolerance : float
-        Ends when a step promises to lower the cost by less than this share of it.
+        A search ends when a step promises to lower the cost by less than this share of it.
     most : int
         Largest number of steps tried.
 
     Returns
     -------
-    Minimum
+    Minima
     """
-    low, high = bounds
-    x = np.clip(start, low, high)
-    r = residual(x)
-    cost, damping, growth = 0.5 * float(r @ r), FIRST_DAMPING, 2.0
-    slopes = jacobian(x)
-    normal, gradient = slopes.T @ slopes, slopes.T @ r
-    scale = np.diag(normal).copy()
+    x = np.clip(start, *bounds)
+    cost, normal, gradient = linearise(x, np.arange(len(x)))
+    damping, growth = np.full(len(x), FIRST_DAMPING), np.full(len(x), 2.0)
+    scale = _diagonal(normal).copy()
+    going = np.arange(len(x))
     for _ in range(most):
-        step = _step(x, normal, gradient, damping=damping * np.where(scale > 0.0, scale, 1.0), bounds=bounds)
-        promised = -float(gradient @ step + 0.5 * step @ normal @ step)
-        if not promised > tolerance * cost or damping > LARGEST_DAMPING:
+        size = np.where(scale[going] > 0.0, scale[going], 1.0)
+        step = _steps(
+            x[going], normal[going], gradient[going], damping=damping[going, None] * size, bounds=bounds
+        )
+        curvature = np.einsum("mp,mpq,mq->m", step, normal[going], step)
+        promised = -(np.einsum("mp,mp->m", gradient[going], step) + 0.5 * curvature)
+        worth = (promised > tolerance * cost[going]) & (damping[going] <= LARGEST_DAMPING)
+        going, step, promised = going[worth], step[worth], promised[worth]
+        if not going.size:
             break
-        trial = residual(x + step)
-        gained = cost - 0.5 * float(trial @ trial)
-        if not gained > 0.0:
-            damping, growth = damping * growth, 2.0 * growth
-            continue
-        x, r, cost = x + step, trial, cost - gained
-        slopes = jacobian(x)
-        normal, gradient = slopes.T @ slopes, slopes.T @ r
-        scale = np.maximum(scale, np.diag(normal))
-        damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gained / promised - 1.0) ** 3), 2.0
-    return Minimum(x, cost)
+        trial = linearise(x[going] + step, going)
+        gained = cost[going] - trial.cost
+        better = gained > 0.0
+        won, lost = going[better], going[~better]
+        damping[lost] *= growth[lost]
+        growth[lost] *= 2.0
+        x[won] += step[better]
+        cost[won], normal[won], gradient[won] = (part[better] for part in trial)
+        scale[won] = np.maximum(scale[won], _diagonal(normal[won]))
+        kept = 1.0 - (2.0 * gained[better] / promised[better] - 1.0) ** 3
+        damping[won] *= np.maximum(1.0 / 3.0, kept)
+        growth[won] = 2.0
+    return Minima(x, cost)
 
 
-def _step(x: Array, normal: Array, gradient: Array, *, damping: Array, bounds: tuple[Array, Array]) -> Array:
-    """Damped step of the free parameters; those that meet a bound stop there, and the others step anew."""
+def _diagonal(matrices: Array) -> Array:
+    return np.asarray(np.einsum("mpp->mp", matrices))
+
+
+def _steps(x: Array, normal: Array, gradient: Array, *, damping: Array, bounds: tuple[Array, Array]) -> Array:
+    """Damped steps of the free parameters; those that meet a bound stop there, and the others step anew."""
     low, high = bounds
     step = np.zeros_like(x)
     held = ((x <= low) & (gradient > 0.0)) | ((x >= high) & (gradient < 0.0))
-    for _ in range(len(x)):
+    unit = np.eye(x.shape[1])
+    damped = normal + damping[:, :, None] * unit
+    # To a diagonal of ones: the columns may differ in size by any factor. Rounding leaves a curvature of
+    # nothing on either side of zero; the damping is then all there is.
+    length = np.sqrt(np.maximum(_diagonal(damped), damping))
+    damped = damped / (length[:, :, None] * length[:, None, :])
+    for _ in range(x.shape[1]):
         free = ~held
-        if not free.any():
-            break
-        matrix = normal[np.ix_(free, free)] + np.diag(damping[free])
-        rest = gradient[free] + normal[np.ix_(free, held)] @ step[held]
-        step[free] = -np.linalg.solve(matrix, rest)
+        matrix = np.where(free[:, :, None] & free[:, None, :], damped, unit)
+        rest = gradient + np.einsum("mpq,mq->mp", normal, np.where(held, step, 0.0))
+        wanted = np.where(free, -rest / length, step * length)
+        step = np.linalg.solve(matrix, wanted[..., None])[..., 0] / length
         target = x + step
         beyond = free & ((target < low) | (target > high))
         if not beyond.any():
             break
-        step[beyond] = np.clip(target[beyond], low[beyond], high[beyond]) - x[beyond]
+        step = np.where(beyond, np.clip(target, low, high) - x, step)
         held |= beyond
     return np.asarray(np.clip(x + step, low, high) - x)

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import uncertainty
+from analysis.equations import Problem
 from analysis.losses import Loss, make_loss
 from analysis.metrics import goodness
 from analysis.models import MODELS
 from analysis.models.base import Geometry
 from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
-from analysis.solver import Problem, SearchJacobian, Solution, minimise, search_jacobian
+from analysis.solver import SearchJacobian, Solution, minimise, search_jacobian
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ AT_BOUND = 1e-4
 """Distance to a bound, as a share of its range in search coordinates, at which a shape counts as on it."""
 FEWEST_LEVELS = 4
 """Distinct points of a lobe that samples must lie on before its width means anything."""
+SAME_DIRECTION = 1e-9
+"""Difference of components below which two directions are one."""
 MISFIT = 2.0
 """Chi-square per degree of freedom from which on model or uncertainties do not describe the samples."""
 
@@ -184,13 +187,22 @@ def _check_enough(data: _Data, problem: Problem) -> None:
     if not np.any(data.f_r[data.used]):
         raise BadInput("every f_r is zero", where=name, todo="check the reduction and the channel")
     needed = len(problem.model.PARAMETERS)
-    directions = len(np.unique(np.round(np.hstack([data.wi, data.wo]), 9), axis=0))
+    directions = _different_pairs(data.wi, data.wo, needed)
     if directions < needed:
         raise BadInput(
             f"{directions} different pairs of directions for {needed} parameters",
             where=name,
             todo=f"measure at least {needed} pairs, or fit a model with fewer parameters",
         )
+
+
+def _different_pairs(wi: Array, wo: Array, most: int) -> int:
+    """Count the different pairs of directions, as far as `most`."""
+    rest, count = np.hstack([wi, wo]), 0
+    while len(rest) and count < most:
+        rest = rest[np.max(np.abs(rest - rest[0]), axis=1) > SAME_DIRECTION]
+        count += 1
+    return count
 
 
 def _total(data: _Data, poses: list[uncertainty.SharedError]) -> Array:

@@ -16,8 +16,9 @@ l2       (f - d) x                    the oldest (Ngan et al. 2005); ruled by pe
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,10 @@ LOWEST = -0.99
 """ln(1 + v) is taken at no smaller v: a datum this negative is noise, whatever the loss."""
 FLAT_CBRT = 1e-4
 """Below this the cube root is continued by its tangent: its slope at zero, infinite, would rule the fit."""
+
+
+Rows = NDArray[np.intp] | slice
+EVERY = slice(None)
 
 
 @dataclass(frozen=True)
@@ -67,9 +72,20 @@ class Loss(ABC):
     def slope(self, f: Array) -> Array:
         """Return the derivative of the residual by f at f (N, C), 0 where unused."""
 
+    @abstractmethod
+    def by_channel(self, rows: Rows = EVERY) -> Self:
+        """Return the loss of some samples with channels first: its arrays are (C, n), and so must f be."""
+
     def weight(self) -> Array:
         """Return the slope at the data: a linear loss's weight, another's near the solution."""
         return self.slope(self.data)
+
+    def secant(self, f: Array) -> Array:
+        """Return the weight with which a linear loss would have this residual at f, 0 where unused."""
+        difference = f - self.data
+        # Where model and datum agree in half their digits the slope is the better quotient.
+        apart = np.abs(difference) > 1e-8 * np.abs(self.data) + 1e-300
+        return np.where(apart, self.residual(f) / np.where(apart, difference, 1.0), self.slope(f))
 
 
 @dataclass(frozen=True)
@@ -97,6 +113,11 @@ class Weighted(Loss):
         """Return the weight."""
         return np.where(self.used, self.weights, 0.0) + np.zeros_like(f)
 
+    def by_channel(self, rows: Rows = EVERY) -> Self:
+        """Return the loss of some samples with channels first."""
+        data, used, weights = (_channels_first(a, rows) for a in (self.data, self.used, self.weights))
+        return replace(self, data=data, used=used, weights=weights)
+
 
 @dataclass(frozen=True)
 class Transformed(Loss):
@@ -121,12 +142,24 @@ class Transformed(Loss):
 
     def residual(self, f: Array) -> Array:
         """Return T(f cos) - T(d cos)."""
-        difference = self.transform(f * self.cos_i) - self.transform(self.data * self.cos_i)
-        return np.where(self.used, difference, 0.0)
+        return np.where(self.used, self.transform(f * self.cos_i) - self._target, 0.0)
+
+    @cached_property
+    def _target(self) -> Array:
+        return self.transform(self.data * self.cos_i)
 
     def slope(self, f: Array) -> Array:
         """Return T'(f cos) cos."""
         return np.where(self.used, self.transform_slope(f * self.cos_i) * self.cos_i, 0.0)
+
+    def by_channel(self, rows: Rows = EVERY) -> Self:
+        """Return the loss of some samples with channels first."""
+        data, used, cos_i = (_channels_first(a, rows) for a in (self.data, self.used, self.cos_i))
+        return replace(self, data=data, used=used, cos_i=cos_i)
+
+
+def _channels_first(column: NDArray[Any], rows: Rows) -> NDArray[Any]:
+    return np.ascontiguousarray(column[rows].T)
 
 
 def log_one_plus(v: Array) -> Array:

@@ -1,8 +1,7 @@
-"""The search: shapes are scanned and refined, scales are solved for (variable projection).
+"""The search: shapes are scanned and refined, on few samples first; scales are solved for.
 
-Search coordinates. A shape parameter is searched in the coordinate it names (log m, ...). A specular scale is
-replaced by s = ks |w lobe|, the size of the specular part of the weighted data: unlike ks it hardly depends
-on the shapes, so the long curved valleys of (ks, ior) and of (ks, m) become straight.
+Where samples are many, a subset of them, even along the half vector's angle, tells the basins apart and
+brings every start to within a small step of the bottom; only the last steps take all samples.
 """
 
 from __future__ import annotations
@@ -15,69 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.descent import descend
-from analysis.models.base import Geometry, Kind, Parameter
+from analysis.equations import Linearised, Problem, solve_scales
 
 if TYPE_CHECKING:
     from analysis.losses import Loss
-    from analysis.models.base import Model
 
 Array = NDArray[np.float64]
 
 STARTS = 4
 """Basins of the scan that are followed to their bottom."""
+SCANNED, FEW = 300, 800
+"""Samples that the scan, and the search from its best points, make do with."""
+REWEIGHTED = 3
+"""Times that the scan solves for scales under a loss that is not linear in f."""
+RIVAL = 1.5
+"""Cost on few samples, as a multiple of the best, up to which a minimum may be the best on all."""
 TOLERANCE = 1e-11
 ROUGH_TOLERANCE = 1e-5
 MOST_STEPS = 300
-DEGENERATE = 1e-12
-"""Squared sine between the two scaled columns below which they count as one."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Samples and the model to meet them.
-
-    Attributes
-    ----------
-    model : type of Model
-        The model.
-    geometry : Geometry
-        The samples' N pairs of directions.
-    channels : int
-        Number C of channels.
-    """
-
-    model: type[Model]
-    geometry: Geometry
-    channels: int
-
-    @property
-    def shapes(self) -> tuple[Parameter, ...]:
-        """The model's shape parameters, in its order."""
-        return tuple(p for p in self.model.PARAMETERS if p.kind is Kind.SHAPE)
-
-    @property
-    def has_lobe(self) -> bool:
-        """Whether there is a specular scale."""
-        return any(p.kind is Kind.SPECULAR_SCALE for p in self.model.PARAMETERS)
-
-    def lobe(self, coordinates: Array) -> tuple[Array, list[Array]]:
-        """Return the lobe (N, 1) at unit scale and its derivatives by the search coordinates."""
-        values = {p.name: p.coordinate.inverse(x) for p, x in zip(self.shapes, coordinates, strict=True)}
-        with np.errstate(under="ignore", over="ignore"):
-            lobe = self.model(**values).lobe_at(self.geometry)
-        if lobe is None:
-            return np.zeros((len(self.geometry.wi), 1)), []
-        visible = self.geometry.visible[:, None]
-        slopes = [
-            np.where(visible, lobe.slopes[p.name] * p.coordinate.slope(values[p.name]), 0.0)
-            for p in self.shapes
-        ]
-        return np.where(visible, lobe.value, 0.0), slopes
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Return bounds of the shapes in search coordinates."""
-        low, high = (np.array([p.coordinate.forward(p.bounds[side]) for p in self.shapes]) for side in (0, 1))
-        return low, high
+APART = 1e-3
+"""Distance in search coordinates from which on two minima are two."""
 
 
 @dataclass(frozen=True)
@@ -100,50 +56,6 @@ class Solution:
     cost: float
 
 
-def solve_scales(weight: Array, data: Array, lobe: Array, *, has_lobe: bool = True) -> tuple[Array, Array]:
-    """Solve for the non-negative scales of kd/pi + ks lobe, each channel alone.
-
-    Least squares in two unknowns with both >= 0 has four candidates: both free, either one zero, both zero.
-    The problem is convex, so the free solution is taken where it is admissible, else the better of the
-    others.
-
-    Parameters
-    ----------
-    weight, data : ndarray, shape (N, C)
-        Weights (0 for unused data) and data.
-    lobe : ndarray, shape (N, 1 or C)
-        The lobe at unit scale.
-    has_lobe : bool
-        False for a model that is kd alone.
-
-    Returns
-    -------
-    tuple of ndarray, shape (C,)
-        kd and ks.
-    """
-    target = weight * data
-    diffuse, specular = weight / np.pi, weight * lobe
-    dd, ds, ss = (
-        np.einsum("nc,nc->c", a, b)
-        for a, b in ((diffuse, diffuse), (diffuse, specular), (specular, specular))
-    )
-    dt, st = (np.einsum("nc,nc->c", a, target) for a in (diffuse, specular))
-    kd_alone = np.maximum(dt, 0.0) / np.where(dd > 0.0, dd, 1.0)
-    if not has_lobe:
-        return kd_alone, np.zeros_like(kd_alone)
-    ks_alone = np.maximum(st, 0.0) / np.where(ss > 0.0, ss, 1.0)
-    determinant = dd * ss - ds * ds
-    separable = determinant > DEGENERATE * dd * ss
-    safe = np.where(separable, determinant, 1.0)
-    kd, ks = (dt * ss - st * ds) / safe, (st * dd - dt * ds) / safe
-    free = separable & (kd >= 0.0) & (ks >= 0.0)
-    # The objective falls by kd_alone * dt / 2 or ks_alone * st / 2 from that of both zero.
-    diffuse_wins = kd_alone * dt >= ks_alone * st
-    kd = np.where(free, kd, np.where(diffuse_wins, kd_alone, 0.0))
-    ks = np.where(free, ks, np.where(diffuse_wins, 0.0, ks_alone))
-    return kd, ks
-
-
 def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Solution:
     """Find the best parameters under a loss.
 
@@ -152,7 +64,7 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     problem : Problem
         Directions and model.
     loss : Loss
-        Data and what to make small.
+        Data and what to make small, arrays (N, C).
     start : Solution, optional
         A solution of nearly the same problem: it is refined and nothing else is tried.
 
@@ -160,83 +72,80 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     -------
     Solution
     """
-    starts = [start.shapes] if start is not None else _scan(problem, loss.weight(), loss.data)
-    projected = [_refine_projected(problem, loss.weight(), loss.data, shapes) for shapes in starts]
-    if loss.linear:
-        return min(projected, key=lambda solution: solution.cost)
-    # Neighbouring starts often meet in one point: only distinct ones are worth a search of all parameters,
-    # and only the best of those is worth the last digits.
-    distinct = _distinct(sorted(projected, key=lambda solution: solution.cost))
-    rough = [_refine_all(problem, loss, solution, ROUGH_TOLERANCE) for solution in distinct]
-    return _refine_all(problem, loss, min(rough, key=lambda solution: solution.cost), TOLERANCE)
+    whole = Linearised(problem, loss.by_channel())
+    if start is not None:
+        return _refine(whole, [start], TOLERANCE)[0]
+    few = _some(problem, loss, FEW)
+    candidates = _distinct(_refine(few, _scan(_some(problem, loss, SCANNED)), ROUGH_TOLERANCE))
+    rivals = [each for each in candidates if each.cost <= RIVAL * candidates[0].cost]
+    if len(rivals) > 1:
+        rivals = _refine(whole, rivals, ROUGH_TOLERANCE)
+    return _refine(whole, rivals[:1], TOLERANCE)[0]
 
 
-def _scan(problem: Problem, weight: Array, data: Array) -> list[Array]:
+def _some(problem: Problem, loss: Loss, count: int) -> Linearised:
+    """Return the problem on about `count` samples, every n-th by the half vector's angle to the normal."""
+    every = len(problem.geometry.wi) // count
+    if every < 2:
+        return Linearised(problem, loss.by_channel())
+    rows = np.argsort(problem.geometry.tan2_h[:, 0], kind="stable")[every // 2 :: every]
+    return Linearised(problem.some(rows), loss.by_channel(rows))
+
+
+def _scan(equations: Linearised) -> list[Solution]:
     """Evaluate every combination of the parameters' scan values; return the local minima, best first."""
-    if not problem.shapes:
-        return [np.empty(0)]
+    problem, loss = equations.problem, equations.loss
     axes = [[p.coordinate.forward(value) for value in p.scan] for p in problem.shapes]
-    cost = np.empty([len(axis) for axis in axes])
-    for index in itertools.product(*(range(len(axis)) for axis in axes)):
-        point = np.array([axis[i] for axis, i in zip(axes, index, strict=True)])
-        lobe, _ = problem.lobe(point)
-        kd, ks = solve_scales(weight, data, lobe)
-        cost[index] = np.sum(np.square(weight * (kd / np.pi + ks * lobe - data)))
-    minima = []
-    for index in itertools.product(*(range(len(axis)) for axis in axes)):
-        around = tuple(slice(max(i - 1, 0), i + 2) for i in index)
-        if cost[index] <= cost[around].min():
-            minima.append((cost[index], [axis[i] for axis, i in zip(axes, index, strict=True)]))
-    minima.sort(key=lambda entry: float(entry[0]))
-    return [np.array(point) for _, point in minima[:STARTS]]
+    points = np.array(list(itertools.product(*axes)))
+    lobe, _ = problem.lobes(points)
+    kd, ks = equations.linear_scales(lobe)
+    for _ in range(0 if loss.linear else REWEIGHTED):
+        kd, ks = solve_scales(loss.secant(equations.values(lobe, kd, ks)), loss.data, lobe)
+    residual = loss.residual(equations.values(lobe, kd, ks))
+    cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
+    grid = cost.reshape([len(axis) for axis in axes])
+    lowest = [
+        flat
+        for flat, index in enumerate(np.ndindex(grid.shape))
+        if grid[index] <= grid[tuple(slice(max(i - 1, 0), i + 2) for i in index)].min()
+    ]
+    best = sorted(lowest, key=lambda flat: float(cost[flat]))[:STARTS]
+    return [Solution(points[i], kd[i], ks[i], float(cost[i])) for i in best]
 
 
-def _refine_projected(problem: Problem, weight: Array, data: Array, shapes: Array) -> Solution:
-    """Refine the shapes with the scales solved for at every step (Golub & Pereyra 1973; Kaufman 1975)."""
-
-    def residual(x: Array) -> Array:
-        lobe, _ = problem.lobe(x)
-        kd, ks = solve_scales(weight, data, lobe, has_lobe=problem.has_lobe)
-        return (weight * (kd / np.pi + ks * lobe - data)).ravel()
-
-    def jacobian(x: Array) -> Array:
-        lobe, slopes = problem.lobe(x)
-        kd, ks = solve_scales(weight, data, lobe)
-        basis = _orthonormal(weight, lobe, kd > 0.0, ks > 0.0)
-        columns = []
-        for slope in slopes:
-            column = weight * ks * slope
-            for vector in basis:
-                column = column - vector * np.einsum("nc,nc->c", vector, column)
-            columns.append(column.ravel())
-        return np.stack(columns, axis=1)
-
-    if problem.shapes:
-        shapes = descend(residual, jacobian, shapes, problem.bounds(), tolerance=TOLERANCE, most=MOST_STEPS).x
-    lobe, _ = problem.lobe(shapes)
-    kd, ks = solve_scales(weight, data, lobe, has_lobe=problem.has_lobe)
-    return Solution(shapes, kd, ks, 0.5 * float(np.sum(np.square(residual(shapes)))))
-
-
-def _orthonormal(
-    weight: Array, lobe: Array, diffuse_on: NDArray[np.bool_], specular_on: NDArray[np.bool_]
-) -> list[Array]:
-    """Return orthonormal columns (N, C) that span, channel by channel, what the active scales can do."""
-    first = _unit_columns(np.where(diffuse_on, weight / np.pi, 0.0))
-    specular = np.where(specular_on, weight * lobe, 0.0)
-    second = _unit_columns(specular - first * np.einsum("nc,nc->c", first, specular))
-    return [first, second]
-
-
-def _unit_columns(columns: Array) -> Array:
-    length = np.sqrt(np.einsum("nc,nc->c", columns, columns))
-    return columns / np.where(length > 0.0, length, 1.0)
+def _refine(equations: Linearised, starts: list[Solution], tolerance: float) -> list[Solution]:
+    """Follow starts to the bottom, together; best first."""
+    problem, loss = equations.problem, equations.loss
+    shapes, low, high = np.array([s.shapes for s in starts]), *problem.bounds()
+    if loss.linear:
+        if shapes.size:
+            found = descend(equations.shapes_alone, shapes, (low, high), tolerance=tolerance, most=MOST_STEPS)
+            shapes = found.x
+        lobe, _ = problem.lobes(shapes)
+        kd, ks = equations.linear_scales(lobe)
+        residual = loss.residual(equations.values(lobe, kd, ks))
+        cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
+    else:
+        kd, ks = np.array([s.kd for s in starts]), np.array([s.ks for s in starts])
+        size = equations.size(problem.lobes(shapes)[0])
+        bottom, top = np.zeros(2 * problem.channels), np.full(2 * problem.channels, np.inf)
+        x, cost = descend(
+            equations.all_parameters,
+            np.hstack([shapes, kd, ks * size]),
+            (np.concatenate([low, bottom]), np.concatenate([high, top])),
+            tolerance=tolerance,
+            most=MOST_STEPS,
+        )
+        shapes, kd, s = equations.unpack(x)
+        ks = s / equations.size(problem.lobes(shapes)[0])
+    ends = [Solution(shapes[i], kd[i], ks[i], float(cost[i])) for i in range(len(cost))]
+    return sorted(ends, key=lambda solution: solution.cost)
 
 
 def _distinct(solutions: list[Solution]) -> list[Solution]:
     kept: list[Solution] = []
     for solution in solutions:
-        if all(np.max(np.abs(solution.shapes - other.shapes), initial=0.0) > 1e-3 for other in kept):
+        if all(np.max(np.abs(solution.shapes - other.shapes), initial=0.0) > APART for other in kept):
             kept.append(solution)
     return kept
 
@@ -301,45 +210,3 @@ def _size(weight: Array, lobe: Array, slopes: list[Array]) -> tuple[Array, Array
     square = np.where(square > 0.0, square, 1.0)
     relative = [np.einsum("nc,nc->c", weighted, weight * slope) / square for slope in slopes]
     return np.sqrt(square), np.array(relative).reshape(len(slopes), weight.shape[1])
-
-
-def _refine_all(problem: Problem, loss: Loss, start: Solution, tolerance: float) -> Solution:
-    """Search shapes and scales together, for losses that are not linear in f."""
-    weight = loss.weight()
-    shape_count, channels = len(start.shapes), problem.channels
-
-    def unpack(x: Array) -> tuple[Array, Array, Array]:
-        shapes, kd, s = np.split(x, [shape_count, shape_count + channels])
-        if not problem.has_lobe:
-            return shapes, kd, np.zeros(channels)
-        return shapes, kd, s / _size(weight, problem.lobe(shapes)[0], [])[0]
-
-    def residual(x: Array) -> Array:
-        shapes, kd, ks = unpack(x)
-        return loss.residual(_evaluate(problem, shapes, kd, ks)).ravel()
-
-    def jacobian(x: Array) -> Array:
-        derivative = search_jacobian(problem, weight, *unpack(x))
-        slope = loss.slope(derivative.f)[..., None]
-        return (slope * derivative.columns).reshape(-1, x.size)
-
-    size = _size(weight, problem.lobe(start.shapes)[0], [])[0]
-    low, high = problem.bounds()
-    scales = [start.kd, start.ks * size] if problem.has_lobe else [start.kd]
-    lowest = np.concatenate([low, *(np.zeros(channels) for _ in scales)])
-    highest = np.concatenate([high, *(np.full(channels, np.inf) for _ in scales)])
-    found = descend(
-        residual,
-        jacobian,
-        np.concatenate([start.shapes, *scales]),
-        (lowest, highest),
-        tolerance=tolerance,
-        most=MOST_STEPS,
-    )
-    shapes, kd, ks = unpack(found.x)
-    return Solution(shapes, kd, ks, found.cost)
-
-
-def _evaluate(problem: Problem, shapes: Array, kd: Array, ks: Array) -> Array:
-    visible = problem.geometry.visible[:, None]
-    return np.where(visible, kd / np.pi, 0.0) + ks * problem.lobe(shapes)[0]

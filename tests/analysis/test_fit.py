@@ -7,12 +7,13 @@ import time
 import numpy as np
 import pytest
 
+from analysis.equations import Problem, solve_scales
 from analysis.fit import fit
 from analysis.losses import LOSSES, make_loss
 from analysis.models import MODELS
 from analysis.models.base import Geometry, Kind
 from analysis.samples import make_samples, read, select
-from analysis.solver import Problem, Solution, minimise, solve_scales
+from analysis.solver import Solution, minimise
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 
@@ -258,7 +259,7 @@ def test_scales_are_the_best_non_negative_ones():
     weight = random.random((40, 200)) + 0.1
     lobe = random.random((40, 1)) + random.integers(0, 2)
     data = random.standard_normal((40, 200)) + random.standard_normal(200)
-    kd, ks = solve_scales(weight, data, lobe)
+    kd, ks = solve_scales(weight.T, data.T, lobe[:, 0])
     assert np.all(kd >= 0.0)
     assert np.all(ks >= 0.0)
     assert np.any(kd == 0.0)

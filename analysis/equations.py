@@ -1,0 +1,292 @@
+"""The normal equations of a fit: of all parameters, or of the shapes alone with the scales solved for.
+
+Search coordinates. A shape parameter is searched in the coordinate it names (log m, ...). A specular scale is
+replaced by s = ks |w lobe|, the size of the specular part of the weighted data: unlike ks it hardly depends
+on the shapes, so the long curved valleys of (ks, ior) and of (ks, m) become straight.
+
+All channels share the lobe and its slopes, so no Jacobian is formed: with b_j the lobe, its slopes and the
+diffuse term, every entry of the normal equations is a sum of the loss's slope squared times b_j b_k, and
+those products are made once for all channels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.descent import Equations
+from analysis.models.base import Geometry, Kind, Parameter
+
+if TYPE_CHECKING:
+    from analysis.descent import Members
+    from analysis.losses import Loss
+    from analysis.models.base import Model
+
+Array = NDArray[np.float64]
+
+DEGENERATE = 1e-12
+"""Squared sine between the two scaled columns below which they count as one."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Samples and the model to meet them.
+
+    Attributes
+    ----------
+    model : type of Model
+        The model.
+    geometry : Geometry
+        The samples' N pairs of directions.
+    channels : int
+        Number C of channels.
+    """
+
+    model: type[Model]
+    geometry: Geometry
+    channels: int
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """The model's shape parameters, in its order."""
+        return tuple(p for p in self.model.PARAMETERS if p.kind is Kind.SHAPE)
+
+    @property
+    def has_lobe(self) -> bool:
+        """Whether there is a specular scale."""
+        return any(p.kind is Kind.SPECULAR_SCALE for p in self.model.PARAMETERS)
+
+    def some(self, rows: NDArray[np.intp]) -> Problem:
+        """Return the problem of some of the samples."""
+        return Problem(self.model, Geometry(self.geometry.wi[rows], self.geometry.wo[rows]), self.channels)
+
+    def lobes(self, coordinates: Array) -> tuple[Array, Array]:
+        """Evaluate the lobe at unit scale for many shapes.
+
+        Parameters
+        ----------
+        coordinates : ndarray, shape (M, S)
+            Shapes in search coordinates.
+
+        Returns
+        -------
+        tuple of ndarray
+            The lobe (M, N) and its derivatives by the search coordinates (S, M, N).
+        """
+        full = (len(coordinates), len(self.geometry.wi))
+        values = {}
+        for parameter, column in zip(self.shapes, coordinates.T, strict=True):
+            natural = [parameter.coordinate.inverse(x) for x in column]
+            values[parameter.name] = np.clip(natural, *parameter.bounds)
+        with np.errstate(under="ignore", over="ignore"):
+            lobe = self.model(**values).lobe_at(self.geometry)
+        if lobe is None:
+            return np.zeros(full), np.zeros((0, *full))
+        visible = self.geometry.visible
+        slopes = np.empty((len(self.shapes), *full))
+        for i, parameter in enumerate(self.shapes):
+            per = np.array([parameter.coordinate.slope(value) for value in values[parameter.name]])
+            slopes[i] = np.where(visible, (lobe.slopes[parameter.name] * per).T, 0.0)
+        return np.where(visible, np.broadcast_to(lobe.value.T, full), 0.0), slopes
+
+    def lobe(self, coordinates: Array) -> tuple[Array, list[Array]]:
+        """Return the lobe (N, 1) at unit scale and its derivatives, for one set of shapes (S,)."""
+        lobe, slopes = self.lobes(coordinates[None])
+        return lobe.T, [slope.T for slope in slopes]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return bounds of the shapes in search coordinates."""
+        low, high = (np.array([p.coordinate.forward(p.bounds[side]) for p in self.shapes]) for side in (0, 1))
+        return low, high
+
+
+def solve_scales(weight: Array, data: Array, lobe: Array) -> tuple[Array, Array]:
+    """Solve for the non-negative scales of kd/pi + ks lobe, each channel alone.
+
+    Parameters
+    ----------
+    weight, data : ndarray, shape (..., C, N)
+        Weights (0 for unused data) and data.
+    lobe : ndarray, shape (..., N)
+        The lobe at unit scale; zero for a model that is kd alone.
+
+    Returns
+    -------
+    tuple of ndarray, shape (..., C)
+        kd and ks.
+    """
+    squared = np.square(weight)
+    basis = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe], axis=-2)
+    return _best_scales(_gram(basis, squared), _against(squared * data, basis))
+
+
+def _best_scales(gram: Array, right: Array) -> tuple[Array, Array]:
+    """Non-negative least squares in two unknowns: gram (..., 2, 2), right-hand side (..., 2).
+
+    There are four candidates: both free, either one zero, both zero. The problem is convex, so the free
+    solution is taken where it is admissible, else the better of the others.
+    """
+    dd, ds, ss = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
+    dt, st = right[..., 0], right[..., 1]
+    kd_alone = np.maximum(dt, 0.0) / np.where(dd > 0.0, dd, 1.0)
+    ks_alone = np.maximum(st, 0.0) / np.where(ss > 0.0, ss, 1.0)
+    determinant = dd * ss - ds * ds
+    separable = determinant > DEGENERATE * dd * ss
+    safe = np.where(separable, determinant, 1.0)
+    kd, ks = (dt * ss - st * ds) / safe, (st * dd - dt * ds) / safe
+    free = separable & (kd >= 0.0) & (ks >= 0.0)
+    # The objective falls by kd_alone * dt / 2 or ks_alone * st / 2 from that of both zero.
+    diffuse_wins = kd_alone * dt >= ks_alone * st
+    kd = np.where(free, kd, np.where(diffuse_wins, kd_alone, 0.0))
+    ks = np.where(free, ks, np.where(diffuse_wins, 0.0, ks_alone))
+    return kd, ks
+
+
+def _gram(basis: Array, squared: Array) -> Array:
+    """Sum squared weights (..., C, N) times products of basis functions (..., K, N): (..., C, K, K)."""
+    count = basis.shape[-2]
+    rows, cols = np.triu_indices(count)
+    products = basis[..., rows, :] * basis[..., cols, :]
+    sums = np.matmul(squared, np.swapaxes(products, -1, -2))
+    which = np.empty((count, count), dtype=np.intp)
+    which[rows, cols] = which[cols, rows] = np.arange(len(rows))
+    return np.asarray(sums[..., which])
+
+
+def _against(values: Array, basis: Array) -> Array:
+    """Sum values (..., C, N) times basis functions (..., K, N): (..., C, K)."""
+    return np.asarray(np.matmul(values, np.swapaxes(basis, -1, -2)))
+
+
+class Linearised:
+    """A problem under a loss, as equations in the search coordinates.
+
+    Parameters
+    ----------
+    problem : Problem
+        Directions and model; S shapes, C channels.
+    loss : Loss
+        With channels first (`Loss.by_channel`). Its arrays may have a leading axis, one entry for each
+        member of a family of problems that share the directions.
+    """
+
+    def __init__(self, problem: Problem, loss: Loss) -> None:
+        self.problem = problem
+        self.loss = loss
+        self._squared = np.square(loss.weight())
+        self._diffuse = np.where(problem.geometry.visible, 1.0 / np.pi, 0.0)
+
+    def linear_scales(self, lobe: Array) -> tuple[Array, Array]:
+        """Solve for the scales (M, C) of lobes (M, N), under the loss made linear at the data."""
+        return solve_scales(np.sqrt(self._squared), self.loss.data, lobe)
+
+    def size(self, lobe: Array) -> Array:
+        """Return |w lobe| by channel, shape (M, C), for lobes (M, N); 1 where it is 0."""
+        square = np.square(lobe) @ self._squared.T
+        return np.sqrt(np.where(square > 0.0, square, 1.0))
+
+    def values(self, lobe: Array, kd: Array, ks: Array) -> Array:
+        """Return f (M, C, N) for lobes (M, N) and scales (M, C)."""
+        return np.asarray(kd[..., None] * self._diffuse + ks[..., None] * lobe[:, None, :])
+
+    def unpack(self, x: Array) -> tuple[Array, Array, Array]:
+        """Split coordinates (M, P) into shapes (M, S), kd (M, C) and s (M, C)."""
+        shapes, channels = len(self.problem.shapes), self.problem.channels
+        return x[:, :shapes], x[:, shapes : shapes + channels], x[:, shapes + channels :]
+
+    def shapes_alone(self, shapes: Array, members: Members) -> Equations:
+        """Equations of the shapes, scales solved for: only for a loss that is linear in f.
+
+        The scales are taken out of the Gauss-Newton equations of all parameters, which is the variable
+        projection of Kaufman (1975); scales at zero stay there and take part in nothing.
+        """
+        del members
+        lobe, slopes = self.problem.lobes(shapes)
+        kd, ks = self.linear_scales(lobe)
+        basis = self._basis(lobe, slopes)
+        residual = self.loss.residual(self.values(lobe, kd, ks))
+        gram = _gram(basis, self._squared)
+        pull = _against(np.sqrt(self._squared) * residual, basis)
+        count = shapes.shape[1]
+        scale = ks[..., None]
+        own = np.square(scale)[..., None] * gram[..., :count, :count]
+        active = np.stack([ks > 0.0, kd > 0.0], axis=-1)
+        cross = scale[..., None] * gram[..., :count, count:] * active[..., None, :]
+        taken = _solve_two(gram[..., count:, count:], active, np.swapaxes(cross, -1, -2))
+        normal = np.sum(own - cross @ taken, axis=1)
+        gradient = np.sum(scale * pull[..., :count], axis=1)
+        return Equations(0.5 * np.einsum("mcn,mcn->m", residual, residual), normal, gradient)
+
+    def all_parameters(self, x: Array, members: Members) -> Equations:
+        """Equations of all search coordinates (shapes, kd by channel, s by channel)."""
+        del members
+        shapes, kd, s = self.unpack(x)
+        lobe, slopes = self.problem.lobes(shapes)
+        size = self.size(lobe)
+        relative = np.matmul(lobe * slopes, self._squared.T) / np.square(size)
+        # What is common to the channels is taken out of the slopes themselves, where it cancels best.
+        common = np.mean(relative, axis=-1)
+        slopes = slopes - lobe * common[..., None]
+        relative = relative - common[..., None]
+        ks = s / size
+        f = self.values(lobe, kd, ks)
+        residual, slope = self.loss.residual(f), self.loss.slope(f)
+        basis = self._basis(lobe, slopes)
+        gram, pull = _gram(basis, np.square(slope)), _against(slope * residual, basis)
+        mix = _mix(relative, ks, size)
+        local = mix @ gram @ np.swapaxes(mix, -1, -2)
+        force = np.einsum("mcjk,mck->mcj", mix, pull)
+        normal, gradient = self._assembled(local, force)
+        return Equations(0.5 * np.einsum("mcn,mcn->m", residual, residual), normal, gradient)
+
+    def _basis(self, lobe: Array, slopes: Array) -> Array:
+        diffuse = np.broadcast_to(self._diffuse, lobe.shape)
+        return np.stack([*slopes, lobe, diffuse], axis=1)
+
+    def _assembled(self, local: Array, force: Array) -> tuple[Array, Array]:
+        """Put each channel's equations in (shapes, s, kd) into those of all coordinates."""
+        shapes, channels = len(self.problem.shapes), self.problem.channels
+        total = shapes + 2 * channels
+        normal, gradient = np.zeros((len(local), total, total)), np.zeros((len(local), total))
+        for c in range(channels):
+            at = np.array([*range(shapes), shapes + channels + c, shapes + c])
+            normal[:, at[:, None], at] += local[:, c]
+            gradient[:, at] += force[:, c]
+        return normal, gradient
+
+
+def _mix(relative: Array, ks: Array, size: Array) -> Array:
+    """Write derivatives of f by (shapes, s, kd) in terms of the basis (slopes, lobe, diffuse): (M, C, K, K).
+
+    `relative` (S, M, C) is what a shape's step does to ln |w lobe|, and so to ks while s stays.
+    """
+    count = len(relative)
+    mix = np.zeros((*ks.shape, count + 2, count + 2))
+    for i in range(count):
+        mix[..., i, i] = ks
+        mix[..., i, count] = -ks * relative[i]
+    mix[..., count, count] = 1.0 / size
+    mix[..., count + 1, count + 1] = 1.0
+    return mix
+
+
+def _solve_two(gram: Array, active: NDArray[np.bool_], right: Array) -> Array:
+    """Solve the scales' equations (..., 2, 2) for right-hand sides (..., 2, S); inactive ones give 0."""
+    both = active[..., :, None] & active[..., None, :]
+    masked = np.where(both, gram, 0.0)
+    first, second, mixed = masked[..., 0, 0], masked[..., 1, 1], masked[..., 0, 1]
+    determinant = first * second - mixed * mixed
+    separable = determinant > DEGENERATE * first * second
+    safe = np.where(separable, determinant, 1.0)
+    inverse = np.zeros_like(masked)
+    inverse[..., 0, 0] = np.where(separable, second / safe, _reciprocal(first))
+    inverse[..., 1, 1] = np.where(separable, first / safe, np.where(first > 0.0, 0.0, _reciprocal(second)))
+    inverse[..., 0, 1] = inverse[..., 1, 0] = np.where(separable, -mixed / safe, 0.0)
+    return np.asarray(inverse @ right)
+
+
+def _reciprocal(value: Array) -> Array:
+    return np.where(value > 0.0, 1.0 / np.where(value > 0.0, value, 1.0), 0.0)
