@@ -66,7 +66,7 @@ class SessionImages:
             raise BadInput(
                 f"no pose has both sample and white ({found})",
                 where=str(self.session.folder),
-                todo="finish the session: gonio capture --resume",
+                todo="finish it with gonio capture --resume, or plan it with its white",
             )
         return pairs
 
