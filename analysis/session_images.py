@@ -80,7 +80,7 @@ class SessionImages:
             (frame for frame in record.frames if frame.lit), key=lambda f: (f.exposure_s, f.shot_id)
         )
         merged = merge(
-            [read_raw(frame.path) for frame in frames],
+            [read_raw(frame.checked()) for frame in frames],
             [frame.exposure_s for frame in frames],
             dark=self.dark,
             sensor=self.session.sensor,
@@ -112,7 +112,7 @@ class SessionImages:
         ]
         if not frames:
             return None
-        return DarkModel.from_frames([read_raw(f.path) for f in frames], [f.exposure_s for f in frames])
+        return DarkModel.from_frames([read_raw(f.checked()) for f in frames], [f.exposure_s for f in frames])
 
     def exposures(self) -> dict[str, list[float]]:
         """Give all exposure times by pass, seconds."""

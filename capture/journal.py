@@ -95,9 +95,7 @@ class Journal:
             self._connection = _connect(path, "ro" if read_only else "rw")
             version = self._connection.execute("PRAGMA user_version").fetchone()[0]
         except sqlite3.Error as error:
-            raise BadInput(
-                f"not a readable journal ({error})", where=str(path), todo="restore the session"
-            ) from None
+            raise _unreadable(path, error) from None
         if version != SCHEMA_VERSION:
             self._connection.close()
             raise BadInput(
@@ -327,9 +325,11 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def _one_line(path: Path) -> Iterator[None]:
-    """Say a full disk in one line; everything committed stays."""
+    """Say a full disk, or a damaged file, in one line; everything committed stays."""
     try:
         yield
+    except sqlite3.IntegrityError:
+        raise  # a step out of order: our own fault, not the file's
     except sqlite3.OperationalError as error:
         if "full" not in str(error) and "I/O" not in str(error):
             raise BadInput(
@@ -338,6 +338,12 @@ def _one_line(path: Path) -> Iterator[None]:
                 todo="check its disk and permissions",
             ) from error
         raise disk_full(path.parent) from error
+    except sqlite3.DatabaseError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> BadInput:
+    return BadInput(f"not a readable journal ({error})", where=str(path), todo="restore the session")
 
 
 def disk_full(folder: Path) -> Refused:

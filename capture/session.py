@@ -58,6 +58,25 @@ class FrameRecord:
     lit: bool
     sha256: str
 
+    def checked(self) -> Path:
+        """Give the frame's file, once it is proved to be the one recorded.
+
+        Raises
+        ------
+        BadInput
+            It is missing, or its bytes are not those whose hash the journal holds.
+        """
+        todo = f"restore it, or shoot it again: gonio capture --resume {self.path.parent.parent}"
+        try:
+            found = hash_file(self.path)
+        except OSError as error:
+            what = "the frame is missing" if isinstance(error, FileNotFoundError) else str(error.strerror)
+            raise BadInput(what, where=str(self.path), todo=todo) from None
+        if found != self.sha256:
+            what = "the frame has changed since it was recorded (its hash differs)"
+            raise BadInput(what, where=str(self.path), todo=todo)
+        return self.path
+
 
 @dataclass(frozen=True, slots=True)
 class PoseRecord:

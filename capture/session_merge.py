@@ -45,7 +45,9 @@ def session_dark(session: Session) -> DarkModel | None:
     frames = [frame for record in session.poses("dark") for frame in record.frames]
     if not frames:
         return None
-    return DarkModel.from_frames([frame.path for frame in frames], [frame.exposure_s for frame in frames])
+    return DarkModel.from_frames(
+        [frame.checked() for frame in frames], [frame.exposure_s for frame in frames]
+    )
 
 
 def merge_session(session: Session, sensor: SensorModel | None = None) -> Iterator[PoseMerge]:
@@ -68,7 +70,7 @@ def merge_session(session: Session, sensor: SensorModel | None = None) -> Iterat
     Raises
     ------
     BadInput
-        No complete pose, or frames that cannot be merged.
+        No complete pose, or frames that are missing, changed, or cannot be merged.
     """
     records = [record for role in ("sample", "white") for record in session.poses(role) if record.frames]
     if not records:
@@ -79,7 +81,7 @@ def merge_session(session: Session, sensor: SensorModel | None = None) -> Iterat
     folder.mkdir(exist_ok=True)
     for record in records:
         lit = sorted((frame for frame in record.frames if frame.lit), key=lambda f: (f.exposure_s, f.shot_id))
-        frames = [read_raw(frame.path) for frame in lit]
+        frames = [read_raw(frame.checked()) for frame in lit]
         times = [frame.exposure_s for frame in lit]
         merged = merge(frames, times, dark=dark, sensor=sensor or session.sensor)
         path = folder / f"{record.role}_{record.index:04d}.npz"

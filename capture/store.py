@@ -233,9 +233,6 @@ class Store:
     def _mend(self, shot: Shot, visit: Visit, arrivals: list[Path], examine: Examine) -> bool:
         """Bring a filed or verified shot in order; False where it must be made again."""
         path = self.folder / (shot.path or "")
-        # Frames of poses that count were checked when they were taken; hashing them all again takes hours.
-        if visit.done and path.is_file():
-            return True
         if path.is_file() and hash_file(path) == shot.sha256:
             if shot.state is ShotState.FILED:
                 self.journal.verify(shot.shot_id, examine(path, visit))

@@ -166,3 +166,15 @@ def test_a_file_that_is_no_journal(tmp_path: Path, content: bytes) -> None:
         Journal(file)
     with pytest.raises(BadInput, match="no journal"):
         Journal(tmp_path / "none.db")
+
+
+def test_a_damaged_page_is_one_line(journal: Journal) -> None:
+    """Would catch a traceback where the file opens and a table behind its first page is rubbish."""
+    for number in range(200):
+        journal.note("filler", text="x" * 200, number=number)
+    journal.close()
+    content = bytearray(journal.path.read_bytes())
+    content[4096:] = b"\xee" * (len(content) - 4096)
+    journal.path.write_bytes(content)
+    with Journal(journal.path, read_only=True) as damaged, pytest.raises(BadInput, match="not a readable"):
+        damaged.events()

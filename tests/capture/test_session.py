@@ -242,6 +242,28 @@ def test_a_lost_first_frame_is_followed_by_all_after_it(bench: Bench) -> None:
     assert len(list((bench.folder / "frames" / "stray").iterdir())) == 1
 
 
+@pytest.mark.parametrize("harm", [b"", b"half", b"Picture"])
+def test_a_frame_that_changed_later_is_neither_used_nor_kept(bench: Bench, harm: bytes) -> None:
+    """Would catch a frame that is reduced, or counts after a resume, with bytes that were never shot."""
+    visit = bench.visit()
+    shot = bench.shot(visit)
+    bench.store.take(shot, visit, bench.arrive(shot, "picture"), SHOWN)
+    bench.journal.finish(visit.number, PoseFlag(0))
+    with Session.open(bench.folder) as session:
+        (frame,) = session.frames_of(visit.pose, "white")
+        assert frame.checked() == frame.path
+        frame.path.write_bytes(harm)
+        with pytest.raises(BadInput, match=r"has changed.*--resume"):
+            frame.checked()
+        frame.path.unlink()
+        with pytest.raises(BadInput, match=r"is missing.*--resume"):
+            frame.checked()
+        frame.path.write_bytes(harm)
+    bench.recover()
+    assert bench.journal.shots()[0].state is ShotState.INTENT
+    assert not bench.journal.visits(visit.number)[0].done
+
+
 def test_files_of_others_in_the_hot_folder_stay(bench: Bench) -> None:
     """Would catch a resume that clears away somebody's holiday pictures."""
     foreign = bench.hot / "IMG_0001.dng"
