@@ -11,10 +11,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bluesky.utils import RunEngineInterrupted
-
 from capture.acquire import Acquisition, cause_of
-from capture.documents import DocumentLog, make_engine
+from capture.documents import DocumentLog, SafeWait, make_engine
 from capture.examine import Examiner
 from capture.exposure import Chooser, Noise, Shutter, Target
 from capture.guards import require_disk, same_plan, same_rig
@@ -36,9 +34,6 @@ from rig.errors import GonioError, Refused
 from rig.machine import open_machine
 
 if TYPE_CHECKING:
-    from bluesky import RunEngine
-
-    from capture.acquire import Messages
     from capture.statistics import FrameStatistics
     from rig.machine import Machine
 
@@ -155,6 +150,7 @@ class _Run:
         self.folder, self.plan, self.rig, self.machine = folder, plan, machine.rig, machine
         self.examiner, self.wishes = examiner, wishes
         self.began = time.monotonic()
+        self._wait = SafeWait(machine.stop)
         self.journal = Journal(folder / JOURNAL_FILE)
         self.store = Store(folder, self.journal)
         machine.on_stray(lambda stray: self.store.set_aside(stray.path, stray.reason))
@@ -169,12 +165,11 @@ class _Run:
         with closing(self.journal):
             try:
                 self._passes()
-            except KeyboardInterrupt:
-                self._journal_end(None)
-                raise
             except Exception as error:
                 cause = cause_of(error)
-                self._journal_end(cause)
+                self._journal_end(None if self._wait.interrupted else cause)
+                if self._wait.interrupted:
+                    raise KeyboardInterrupt from None
                 if not isinstance(cause, GonioError):
                     raise cause from error
                 if self.wishes.controls.abort_requested:
@@ -190,7 +185,7 @@ class _Run:
             closing(CameraDevice(self.machine)) as camera,
             DocumentLog(self.folder / DOCUMENTS_FILE) as log,
         ):
-            engine = make_engine(log)
+            engine = make_engine(log, self._wait)
             for role in (Role.WHITE, Role.SAMPLE, Role.DARK):
                 if role is Role.DARK:
                     self._plan_darks()
@@ -198,17 +193,9 @@ class _Run:
                 if left and not self._mount(role):
                     return
                 if left:
-                    self._run_engine(engine, self._acquisition(arms, camera).run(left, self._metadata(role)))
+                    engine(self._acquisition(arms, camera).run(left, self._metadata(role)))
                 if self.wishes.controls.finish_requested:
                     return
-
-    def _run_engine(self, engine: RunEngine, plan: Messages) -> None:
-        """Run a plan; a Ctrl-C that nobody handles stops the machine at once, also within an exposure."""
-        try:
-            engine(plan)
-        except RunEngineInterrupted:
-            self.machine.stop()
-            raise KeyboardInterrupt from None
 
     def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
         asked = self.plan.exposure
