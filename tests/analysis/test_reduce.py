@@ -126,9 +126,20 @@ def test_every_file_counts_in_the_hash(session: RecordedSession) -> None:
     """Catches provenance that would not notice an exchanged frame."""
     before = reduce_session(session).attrs["frames_sha256"]
     record = session.records[0]
-    changed = replace(record, frames=(record.frames[0], replace(record.frames[1], sha256="0" * 64)))
-    session.records[0] = changed
+    frame = record.frames[1]
+    content = frame.path.read_bytes() + b"\0"
+    frame.path.write_bytes(content)
+    other = replace(frame, sha256=hashlib.sha256(content).hexdigest())
+    session.records[0] = replace(record, frames=(record.frames[0], other))
     assert reduce_session(session).attrs["frames_sha256"] != before
+
+
+def test_a_changed_frame_is_refused_by_name(session: RecordedSession) -> None:
+    """Catches samples made from frames that are not those that were recorded."""
+    frame = session.records[0].frames[1]
+    frame.path.write_bytes(frame.path.read_bytes() + b"\0")
+    with pytest.raises(BadInput, match=frame.path.name):
+        reduce_session(session)
 
 
 def test_poses_without_white_are_left_out(session: RecordedSession) -> None:
