@@ -1,7 +1,7 @@
 """The `gonio` command: finds the sub-command, runs it, turns errors into one line and an exit code.
 
-Only the standard library is imported here; a command's module, and the heavy libraries behind it, are imported when
-that command runs, so that `gonio --help` answers at once.
+Only the standard library is imported here; a command's module, and the heavy libraries behind it, are
+imported when that command runs, so that `gonio --help` answers at once.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from rig.errors import GonioError
+from rig.errors import BadInput, GonioError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +66,18 @@ def _parser(name: str, module: ModuleType) -> argparse.ArgumentParser:
     return parser
 
 
+def _with_negative_values(arguments: Sequence[str]) -> list[str]:
+    """Tie a value such as -60:60:15 to its option; argparse alone would take it for an option itself."""
+    tied: list[str] = []
+    for argument in arguments:
+        negative = len(argument) > 1 and argument[0] == "-" and argument[1] in "0123456789."
+        if negative and tied and tied[-1].startswith("--") and "=" not in tied[-1]:
+            tied[-1] += f"={argument}"
+        else:
+            tied.append(argument)
+    return tied
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one `gonio` command.
 
@@ -91,24 +103,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     name, *rest = arguments
     if name not in COMMANDS:
         print(f"gonio: unknown command '{name}'; gonio --help lists the commands", file=sys.stderr)
-        return 2
+        return BadInput.exit_code
+    return _run(name, rest)
+
+
+def _run(name: str, arguments: Sequence[str]) -> int:
     try:
         module = _command_module(name)
-        options = _parser(name, module).parse_args(rest)
+        options = _parser(name, module).parse_args(_with_negative_values(arguments))
         return int(module.run(options) or 0)
     except GonioError as error:
-        print(f"gonio {name}: {_one_line(error)}", file=sys.stderr)
-        return error.exit_code
+        message, code = _one_line(error), error.exit_code
     except KeyboardInterrupt:
-        print(f"gonio {name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        message, code = "interrupted", EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output left (`gonio ... | head`): nothing to tell it, and no traceback at shutdown.
+        # The reader of our output left (`gonio ... | head`): nothing to tell it, no traceback at shutdown.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        print(f"gonio {name}: {_operating_system_error(error)}", file=sys.stderr)
-        return 2
+        message, code = _operating_system_error(error), BadInput.exit_code
+    print(f"gonio {name}: {message}", file=sys.stderr)
+    return code
 
 
 def _one_line(error: Exception) -> str:

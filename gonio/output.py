@@ -23,7 +23,7 @@ def print_json(result: Mapping[str, Any]) -> None:
     print(json.dumps(_plain(result)), flush=True)
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - any JSON-like value
+def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

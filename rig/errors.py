@@ -1,7 +1,7 @@
 """The error tree: one class per policy, one line per message.
 
-A message always says what happened, where, and what to do next, so that the front door can print it as it is and
-a person at the rig at three in the morning knows the next step.
+A message always says what happened, where, and what to do next, so that the front door can print it as it is
+and a person at the rig at three in the morning knows the next step.
 """
 
 from __future__ import annotations

@@ -265,5 +265,8 @@ def _direction(w: npt.ArrayLike, name: str) -> FloatArray:
 
 
 def _name_pose(wi: FloatArray, wo: FloatArray) -> str:
-    (theta_i, phi_i), (theta_o, phi_o) = (np.degrees(direction_to_spherical(w)) for w in (wi, wo))
+    # Rounded, and -0 made 0, for a person.
+    (theta_i, phi_i), (theta_o, phi_o) = (
+        np.round(np.degrees(direction_to_spherical(w)), 2) + 0.0 for w in (wi, wo)
+    )
     return f"pose theta_i {theta_i:.2f} phi_i {phi_i:.2f} theta_o {theta_o:.2f} phi_o {phi_o:.2f} deg"

@@ -1,9 +1,9 @@
 """Poses to a TOML plan, with what a machine makes of it: refusals, duration, disk, coverage.
 
-grid        every combination of --theta-i, --theta-o and --phi
-sweep       in the plane of incidence; --theta-o is signed, positive on the mirror's side
-specular    about the mirror direction; --offset is how far beyond it
-hemisphere  --count camera directions spread evenly, for each --theta-i
+grid        every combination of --theta-i-deg, --theta-o-deg and --phi-deg
+sweep       in the plane of incidence; --theta-o-deg is signed, positive on the mirror's side
+specular    about the mirror direction; --offset-deg is how far beyond it
+hemisphere  --count camera directions spread evenly, for each --theta-i-deg
 csv         a list of poses: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg
 show        what a machine makes of a plan that is there already
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from capture.itinerary import Itinerary
     from capture.plan import Plan
 
-EXAMPLE = "gonio plan grid --theta-i 0:60:15 --theta-o 0:75:15 --phi 90,180 --rig rig.toml --out plan.toml"
+EXAMPLE = "gonio plan grid --theta-i-deg 0:60:15 --theta-o-deg 0:75:15 --rig rig.toml --out plan.toml"
 
 LISTED = 5
 """Refused poses that are printed; with --json all are."""
@@ -44,11 +44,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     _kind(kinds, "sweep", "in the plane of incidence", theta_i=True, theta_o=True)
     specular = _kind(kinds, "specular", "about the mirror direction", theta_i=True)
     specular.add_argument(
-        "--offset", default="0", metavar="ANGLES", help="camera beyond the mirror direction"
+        "--offset-deg", default="0", metavar="ANGLES", help="camera beyond the mirror direction"
     )
     hemisphere = _kind(kinds, "hemisphere", "camera directions spread evenly", theta_i=True)
     hemisphere.add_argument("--count", type=int, required=True, metavar="N", help="for each light direction")
-    hemisphere.add_argument("--theta-o-max", type=float, default=75.0, metavar="DEG", help="default: 75")
+    hemisphere.add_argument("--theta-o-max-deg", type=float, default=75.0, metavar="DEG", help="default: 75")
     table = _kind(kinds, "csv", "a list of poses")
     table.add_argument("table", type=Path, metavar="FILE", help="theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg")
     table.add_argument("--skip-refused", action="store_true", help="leave out what the machine cannot take")
@@ -69,16 +69,16 @@ def _kind(
 ) -> argparse.ArgumentParser:
     parser = kinds.add_parser(name, help=text, description=text)
     if theta_i:
-        parser.add_argument("--theta-i", required=True, metavar="ANGLES", help="light, from the normal")
+        parser.add_argument("--theta-i-deg", required=True, metavar="ANGLES", help="light, from the normal")
         phi_i = "0" if phi else 0.0
         parser.add_argument(
-            "--phi-i", default=phi_i, metavar="ANGLES" if phi else "DEG", help="light's azimuth"
+            "--phi-i-deg", default=phi_i, metavar="ANGLES" if phi else "DEG", help="light's azimuth"
         )
     if theta_o:
-        parser.add_argument("--theta-o", required=True, metavar="ANGLES", help="camera, from the normal")
+        parser.add_argument("--theta-o-deg", required=True, metavar="ANGLES", help="camera, from the normal")
     if phi:
         parser.add_argument(
-            "--phi", default="180", metavar="ANGLES", help="camera's azimuth minus the light's"
+            "--phi-deg", default="180", metavar="ANGLES", help="camera's azimuth minus the light's"
         )
     parser.add_argument(
         "--rig", type=Path, default=Path("rig.toml"), metavar="FILE", help="default: rig.toml"
@@ -122,26 +122,26 @@ def run(options: argparse.Namespace) -> int:
 def _content(options: argparse.Namespace) -> dict[str, Any]:
     generators: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
         "grid": lambda o: {
-            "theta_i_deg": _angles(o.theta_i, "--theta-i"),
-            "theta_o_deg": _angles(o.theta_o, "--theta-o"),
-            "phi_deg": _angles(o.phi, "--phi"),
-            "phi_i_deg": _angles(o.phi_i, "--phi-i"),
+            "theta_i_deg": _angles(o.theta_i_deg, "--theta-i-deg"),
+            "theta_o_deg": _angles(o.theta_o_deg, "--theta-o-deg"),
+            "phi_deg": _angles(o.phi_deg, "--phi-deg"),
+            "phi_i_deg": _angles(o.phi_i_deg, "--phi-i-deg"),
         },
         "sweep": lambda o: {
-            "theta_i_deg": _angles(o.theta_i, "--theta-i"),
-            "theta_o_deg": _angles(o.theta_o, "--theta-o"),
-            "phi_i_deg": _angle(o.phi_i, "--phi-i"),
+            "theta_i_deg": _angles(o.theta_i_deg, "--theta-i-deg"),
+            "theta_o_deg": _angles(o.theta_o_deg, "--theta-o-deg"),
+            "phi_i_deg": _angle(o.phi_i_deg, "--phi-i-deg"),
         },
         "specular": lambda o: {
-            "theta_i_deg": _angles(o.theta_i, "--theta-i"),
-            "offset_deg": _angles(o.offset, "--offset"),
-            "phi_i_deg": _angle(o.phi_i, "--phi-i"),
+            "theta_i_deg": _angles(o.theta_i_deg, "--theta-i-deg"),
+            "offset_deg": _angles(o.offset_deg, "--offset-deg"),
+            "phi_i_deg": _angle(o.phi_i_deg, "--phi-i-deg"),
         },
         "hemisphere": lambda o: {
-            "theta_i_deg": _angles(o.theta_i, "--theta-i"),
+            "theta_i_deg": _angles(o.theta_i_deg, "--theta-i-deg"),
             "count": o.count,
-            "theta_o_max_deg": o.theta_o_max,
-            "phi_i_deg": _angle(o.phi_i, "--phi-i"),
+            "theta_o_max_deg": o.theta_o_max_deg,
+            "phi_i_deg": _angle(o.phi_i_deg, "--phi-i-deg"),
         },
         "csv": lambda o: {"directions_deg": _table(o.table)},
     }

@@ -125,7 +125,7 @@ def slow_twin() -> Iterator[Twin]:
 def plan(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a plan of eight poses."""
     out = tmp_path_factory.mktemp("plan") / "plan.toml"
-    angles = ("--theta-i", "20,50", "--theta-o", "0:60:20", "--phi", "90,180")
+    angles = ("--theta-i-deg", "20,50", "--theta-o-deg", "0:60:20", "--phi-deg", "90,180")
     made = gonio("plan", "grid", *angles, "--rig", twin.rig, "--out", out, "--darks", "1", "--json")
     assert made.returncode == 0, made.stderr
     facts = json.loads(made.stdout)
@@ -200,7 +200,7 @@ def test_ctrl_c_finishes_the_frame(twin: Twin, plan: Path, reference: Path, tmp_
 def long_plan(slow_twin: Twin, tmp_path: Path) -> Path:
     """Return a plan whose first exposure lasts half a minute on the slow twin."""
     out = tmp_path / "plan.toml"
-    angles = ("--theta-i", "20", "--theta-o", "20,40")
+    angles = ("--theta-i-deg", "20", "--theta-o-deg", "20,40")
     made = gonio("plan", "sweep", *angles, "--rig", slow_twin.rig, "--out", out, "--first-s", "60")
     assert made.returncode == 0, made.stderr
     return out
@@ -272,9 +272,13 @@ def test_an_existing_session_is_refused(twin: Twin, plan: Path, reference: Path)
         (["capture", "PLAN", "--rig", "RIG", "--frames", "nope", "--out", "s"], 2, "no such folder"),
         (["capture", "PLAN", "--rig", "RIG", "--mounted", "black", "--out", "s"], 2, "'black'"),
         (["capture", "--resume", "nope"], 2, "not a session"),
-        (["plan", "sweep", "--theta-i", "x", "--theta-o", "0", "--rig", "RIG"], 2, "'x' is no angle"),
-        (["plan", "sweep", "--theta-i", "0:9", "--theta-o", "0", "--rig", "RIG"], 2, "first:last:step"),
-        (["plan", "sweep", "--theta-i", "30", "--theta-o", "-30", "--rig", "RIG"], 3, "deg apart"),
+        (["plan", "sweep", "--theta-i-deg", "x", "--theta-o-deg", "0", "--rig", "RIG"], 2, "'x' is no angle"),
+        (
+            ["plan", "sweep", "--theta-i-deg", "0:9", "--theta-o-deg", "0", "--rig", "RIG"],
+            2,
+            "first:last:step",
+        ),
+        (["plan", "sweep", "--theta-i-deg", "30", "--theta-o-deg", "-30", "--rig", "RIG"], 3, "deg apart"),
         (["plan", "show", "nope.toml", "--rig", "RIG"], 2, "nope.toml"),
         (["plan", "csv", "nope.csv", "--rig", "RIG"], 2, "nope.csv"),
     ],

@@ -77,3 +77,9 @@ def test_usage_errors_name_the_command(capsys: pytest.CaptureFixture[str]) -> No
         cli.main(["fit", "--no-such-option"])
     assert end.value.code == 2
     assert "gonio fit" in capsys.readouterr().err
+
+
+def test_a_range_may_begin_below_zero() -> None:
+    """Catches `--theta-o-deg -60:60:20` read as an unknown option."""
+    tied = cli._with_negative_values(["--theta-o-deg", "-60:60:20", "--x", ".5", "-1", "--json", "-h"])
+    assert tied == ["--theta-o-deg=-60:60:20", "--x", ".5", "-1", "--json", "-h"]
