@@ -38,6 +38,7 @@ MARKER = "demo.json"
 DEFAULT_OUT = "gonio-demo"
 DEFAULT_SPEED = 100.0
 FEWEST_POSES = 12
+EXIT_INTERRUPTED = 130
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -235,6 +236,8 @@ class _Capture:
             # It has heard Ctrl-C too and is putting the machine to rest.
             self._process.wait()
             raise
+        if code == EXIT_INTERRUPTED and kind is None:
+            raise KeyboardInterrupt
         if code and kind is None:
             raise DeviceLost(
                 f"the capture of {self._name} ended with code {code}",
