@@ -277,7 +277,11 @@ def select(
         lowest = np.cos(np.radians(max_theta_deg)) - 1e-12
         keep = np.minimum(samples["wi"].to_numpy()[:, 2], samples["wo"].to_numpy()[:, 2]) >= lowest
         if not keep.any():
-            raise BadInput(f"no sample has both angles within {max_theta_deg:g} deg", where=where)
+            raise BadInput(
+                f"no sample has both angles within {max_theta_deg:g} deg",
+                where=where,
+                todo="allow larger angles, 90 at most",
+            )
         samples = samples.isel(sample=np.flatnonzero(keep))
     return samples
 
@@ -292,7 +296,7 @@ def _wavelength_indices(samples: xr.Dataset, wanted: Sequence[float], where: str
     indices = []
     for wavelength in wanted:
         near = int(np.argmin(np.abs(known - wavelength)))
-        if abs(known[near] - wavelength) > 0.01:
+        if not abs(known[near] - wavelength) <= 0.01:  # NaN is near nothing
             available = ", ".join(f"{w:g}" for w in known)
             raise BadInput(f"holds no {wavelength:g} nm", where=where, todo=f"choose from {available}")
         indices.append(near)

@@ -28,7 +28,8 @@ NAME = "Cornell .brdf"
 OPTIONS: tuple[str, ...] = ()
 ANGLES = ("theta i", "phi i", "theta s", "phi s")
 MOST_WAVELENGTHS = 100_000
-_START = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s*#[^\r\n]*[\r\n]+|\s+)*(\d{1,9})\s*(?:#[^\r\n]*)?[\r\n]")
+# No alternative takes what another can: two ways to take the same blanks would try all their mixtures.
+_START = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*+\d{1,9}[^\S\r\n]*(?:#[^\r\n]*)?[\r\n]")
 
 
 def sniff(head: bytes) -> bool:

@@ -116,10 +116,12 @@ def test_unknown_suffix_is_not_written(tmp_path):
         (b"\x89HDF\r\n\x1a\n" + b"\0" * 64, "NetCDF"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + b"\0" * 600, "xls"),
         (b"PK\x03\x04" + b"\0" * 64, "npz"),
+        (b" " * 60_000 + b"LICENSE\n", "of no format"),
+        (b"\n    # \n" * 8_000 + b"x\n", "of no format"),
     ],
 )
 def test_damaged_files_give_one_line(save, content, complaint):
-    """Catches a traceback, or an error that does not name file and place."""
+    """Catches a traceback, an error that does not name file and place, or blanks that take for ever."""
     path = save(content)
     with pytest.raises(BadInput, match=complaint) as caught:
         read(path)

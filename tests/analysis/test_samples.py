@@ -67,6 +67,8 @@ def test_selection_of_wavelengths_and_angles():
     assert select(samples, max_theta_deg=60.0)["f_r"].to_numpy()[:, 0].tolist() == [3.0, 6.0]
     with pytest.raises(BadInput, match="choose from 400, 500, 600"):
         select(samples, wavelength_nm=[555.0])
+    with pytest.raises(BadInput, match="holds no nan nm"):
+        select(samples, wavelength_nm=[float("nan")])
     with pytest.raises(BadInput, match="both angles"):
         select(samples, max_theta_deg=10.0)
     with pytest.raises(BadInput, match="its channels are 0"):
