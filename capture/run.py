@@ -200,7 +200,8 @@ class _Run:
     def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
         asked = self.plan.exposure
         visits = self.journal.visits()
-        total, done = len(visits), sum(visit.done for visit in visits)
+        darks_to_come = self.plan.darks.count and all(visit.role is not Role.DARK for visit in visits)
+        total, done = len(visits) + 2 * bool(darks_to_come), sum(visit.done for visit in visits)
 
         def visited(visit: Visit) -> None:
             nonlocal done
