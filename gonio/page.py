@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.fit import fit
-from analysis.models import MODELS
+from analysis.models import DEFAULT_MODELS, MODELS
 from analysis.report import Measurement, ShownFrame
 from analysis.session_images import SessionImages
 from rig.errors import BadInput
@@ -31,7 +31,7 @@ VERSIONS = ("gonio", "numpy", "scipy", "mitsuba", "bluesky")
 
 
 def fit_models(samples: xr.Dataset, names: Sequence[str] | None) -> list[FitResult]:
-    """Fit the models asked for, in that order; by default all that differ, best first by rms_log.
+    """Fit the models asked for, in that order; by default the usual ones that differ, best first by rms_log.
 
     Raises
     ------
@@ -46,7 +46,8 @@ def fit_models(samples: xr.Dataset, names: Sequence[str] | None) -> list[FitResu
     if names:
         return [fit(samples, name) for name in dict.fromkeys(names)]
     # Models that differ by a constant tie but for rounding: of those the last, the modern form, stands.
-    distinct = {f"{fitted.metrics['rms_log']:.6g}": fitted for fitted in (fit(samples, n) for n in MODELS)}
+    fits = (fit(samples, name) for name in DEFAULT_MODELS)
+    distinct = {f"{fitted.metrics['rms_log']:.6g}": fitted for fitted in fits}
     return sorted(distinct.values(), key=lambda fitted: fitted.metrics["rms_log"])
 
 

@@ -88,6 +88,8 @@ class Parameter:
         Where a fit searches it.
     scan : tuple of float
         Values from which a fit starts, spread so that every basin holds one.
+    maximum : float
+        Highest value with a meaning; above it the model refuses.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Parameter:
     unit: str = "1"
     coordinate: Coordinate = Coordinate.LINEAR
     scan: tuple[float, ...] = ()
+    maximum: float = np.inf
 
 
 KD = Parameter("kd", Kind.DIFFUSE_SCALE, (0.0, np.inf), 0.0, 0.5)
@@ -105,10 +108,25 @@ KS = Parameter("ks", Kind.SPECULAR_SCALE, (0.0, np.inf), 0.0, 0.5)
 
 
 class Lobe(NamedTuple):
-    """A specular lobe in 1/sr at unit scale, and its derivatives by shape parameter, each (..., channels)."""
+    """A term of f or a factor of one, and its derivatives by shape parameter, each (..., channels).
+
+    The terms that a model hands out are in 1/sr at unit scale.
+    """
 
     value: Array
     slopes: dict[str, Array]
+
+
+def product(*factors: Lobe) -> Lobe:
+    """Multiply factors; the derivatives by the product rule, without a division."""
+    value, slopes = factors[0]
+    for factor in factors[1:]:
+        merged = {name: slope * factor.value for name, slope in slopes.items()}
+        for name, slope in factor.slopes.items():
+            own = value * slope
+            merged[name] = merged[name] + own if name in merged else own
+        value, slopes = value * factor.value, merged
+    return Lobe(value, slopes)
 
 
 class Geometry:
@@ -153,6 +171,32 @@ class Geometry:
     def cos_o(self) -> Array:
         """N.E, shape (..., 1), at least `SMALLEST`."""
         return np.maximum(self.wo[..., 2:], SMALLEST)
+
+    @cached_property
+    def sin2_i(self) -> Array:
+        """Squared sine of the light's angle, from components, shape (..., 1)."""
+        return np.square(self.wi[..., 0:1]) + np.square(self.wi[..., 1:2])
+
+    @cached_property
+    def sin2_o(self) -> Array:
+        """Squared sine of the camera's angle, from components, shape (..., 1)."""
+        return np.square(self.wo[..., 0:1]) + np.square(self.wo[..., 1:2])
+
+    @cached_property
+    def sin2_d(self) -> Array:
+        """Squared sine of the angle between E (or L) and H: a quarter of |L - E|^2, shape (..., 1)."""
+        return np.asarray(0.25 * np.sum(np.square(self.wi - self.wo), axis=-1, keepdims=True))
+
+    @cached_property
+    def tangents(self) -> tuple[Array, Array]:
+        """Slopes H_x / H_z and H_y / H_z of the facet that mirrors, each (..., 1); capped as `tan2_h` is."""
+        x, y = (np.clip(self.half[..., i : i + 1] / self.half[..., 2:3], -1e70, 1e70) for i in (0, 1))
+        return x, y
+
+    @cached_property
+    def retro(self) -> Geometry:
+        """The same pairs with the camera mirrored about the normal: there H is N where E is L."""
+        return Geometry(self.wi, self.wo * np.array([-1.0, -1.0, 1.0]))
 
     @cached_property
     def half(self) -> Array:
@@ -234,14 +278,35 @@ class Model(ABC):
 
     Underflow and overflow are the right values of faint and of capped terms, and raise no error.
 
+    Attributes
+    ----------
+    NAME : str
+        Key in `analysis.models.MODELS`.
+    PARAMETERS : tuple of Parameter
+        In the order of the fields.
+    RECIPROCAL : bool
+        Whether light and camera may change places.
+    ISOTROPIC : bool
+        Whether the sample may be turned about its normal.
+    CONSERVES : bool
+        Whether each term's directional albedo stays below its scale for every direction and every parameter
+        within the bounds: whether kd + ks <= 1 is enough for no light to be created.
+    LAMBERT_TERM : bool
+        Whether the diffuse term is Lambert's, the same for all shapes. Where it is not, `terms_at` tells
+        more than `lobe_at` can.
+
     Raises
     ------
     BadInput
-        If a parameter is below the smallest value with a meaning, or the shapes do not agree.
+        If a parameter is beyond the values with a meaning, or the shapes do not agree.
     """
 
     NAME: ClassVar[str]
     PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    RECIPROCAL: ClassVar[bool] = True
+    ISOTROPIC: ClassVar[bool] = True
+    CONSERVES: ClassVar[bool] = False
+    LAMBERT_TERM: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         shapes = set()
@@ -255,6 +320,11 @@ class Model(ABC):
             if np.any(value < parameter.minimum):
                 raise BadInput(
                     f"is {float(np.min(value)):g}, below {parameter.minimum:g}",
+                    where=f"{self.NAME} {parameter.name}",
+                )
+            if np.any(value > parameter.maximum):
+                raise BadInput(
+                    f"is {float(np.max(value)):g}, above {parameter.maximum:g}",
                     where=f"{self.NAME} {parameter.name}",
                 )
             if value.size != 1:
@@ -273,6 +343,17 @@ class Model(ABC):
     @abstractmethod
     def lobe_at(self, geometry: Geometry) -> Lobe | None:
         """Specular lobe at unit scale with its derivatives by shape, or None for a model without one."""
+
+    def terms_at(self, geometry: Geometry) -> dict[str, Lobe]:
+        """Return the term of each linear scale at unit scale, with its derivatives by shape.
+
+        f_r is the sum of scale times term; not yet `finish`ed.
+        """
+        terms = {"kd": Lobe(np.full((*geometry.visible.shape, 1), 1.0 / np.pi), {})}
+        lobe = self.lobe_at(geometry)
+        if lobe is not None:
+            terms["ks"] = lobe
+        return terms
 
     @np.errstate(under="ignore", over="ignore")
     def evaluate(self, wi: ArrayLike, wo: ArrayLike) -> Array:
@@ -296,7 +377,7 @@ class Model(ABC):
 
     @np.errstate(under="ignore", over="ignore")
     def basis(self, wi: ArrayLike, wo: ArrayLike) -> dict[str, Array]:
-        """Return df/dscale of each linear scale: 1/pi for kd, the lobe for ks; arguments as in `evaluate`.
+        """Return df/dscale of each linear scale, by name; arguments as in `evaluate`.
 
         Returns
         -------
@@ -308,11 +389,7 @@ class Model(ABC):
 
     def basis_at(self, geometry: Geometry) -> dict[str, Array]:
         """`basis` for a prepared geometry; not yet `finish`ed."""
-        columns: dict[str, Array] = {"kd": np.full((*geometry.visible.shape, 1), 1.0 / np.pi)}
-        lobe = self.lobe_at(geometry)
-        if lobe is not None:
-            columns["ks"] = lobe.value
-        return columns
+        return {name: term.value for name, term in self.terms_at(geometry).items()}
 
     @np.errstate(under="ignore", over="ignore")
     def derivatives(self, wi: ArrayLike, wo: ArrayLike) -> dict[str, Array]:
@@ -325,10 +402,9 @@ class Model(ABC):
         """
         geometry = Geometry(wi, wo)
         full = np.zeros((*geometry.visible.shape, self.channels))
-        slopes: dict[str, Array] = {"kd": full + 1.0 / np.pi}
-        lobe = self.lobe_at(geometry)
-        if lobe is not None:
-            slopes["ks"] = full + lobe.value
-            scale: Array = vars(self)["ks"]
-            slopes |= {name: full + scale * slope for name, slope in lobe.slopes.items()}
+        slopes: dict[str, Array] = {}
+        for scale, term in self.terms_at(geometry).items():
+            slopes[scale] = full + term.value
+            for name, slope in term.slopes.items():
+                slopes[name] = slopes.get(name, full) + vars(self)[scale] * slope
         return {name: geometry.finish(slope) for name, slope in slopes.items()}

@@ -61,6 +61,7 @@ class BlinnPhong(Model):
 
     NAME: ClassVar[str] = "blinn-phong"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, EXPONENT)
+    CONSERVES: ClassVar[bool] = True
 
     def lobe_at(self, geometry: Geometry) -> Lobe:
         """Return c (N.H)^exponent and its derivative by the exponent."""

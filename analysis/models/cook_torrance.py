@@ -70,6 +70,7 @@ class CookTorrance(Model):
 
     NAME: ClassVar[str] = "cook-torrance"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, M, IOR)
+    CONSERVES: ClassVar[bool] = True
 
     def lobe_at(self, geometry: Geometry) -> Lobe:
         """F D G / (4 (N.L)(N.E)) and its derivatives by m and ior."""

@@ -25,6 +25,7 @@ class Lambert(Model):
 
     NAME: ClassVar[str] = "lambert"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD,)
+    CONSERVES: ClassVar[bool] = True
 
     def lobe_at(self, geometry: Geometry) -> Lobe | None:  # noqa: ARG002 - the interface of all models
         """Return None: there is no lobe."""

@@ -65,6 +65,7 @@ class Phong(Model):
 
     NAME: ClassVar[str] = "phong"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, EXPONENT)
+    RECIPROCAL: ClassVar[bool] = False
 
     def lobe_at(self, geometry: Geometry) -> Lobe:
         """(R.E)^exponent / (N.L) and its derivative by the exponent."""
@@ -92,6 +93,7 @@ class ModifiedPhong(Model):
 
     NAME: ClassVar[str] = "modified-phong"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, EXPONENT)
+    CONSERVES: ClassVar[bool] = True
 
     def lobe_at(self, geometry: Geometry) -> Lobe:
         """(exponent + 2)/(2 pi) (R.E)^exponent and its derivative by the exponent."""

@@ -1,8 +1,9 @@
 """Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, goodness of fit.
 
 FILE is a session's folder, a gonio NetCDF or CSV table, a Cornell .brdf, an RT-300S .xls or an .npz of wi,
-wo, f_r; its content tells. Without --model all models are fitted and ranked by rms_log. Without
---wavelength-nm all channels of a file share the shape parameters; kd and ks are each channel's own.
+wo, f_r; its content tells. Without --model the six usual models are fitted, with --all every model, and
+ranked by rms_log. Without --wavelength-nm all channels of a file share the shape parameters; kd and ks are
+each channel's own.
 """
 
 from __future__ import annotations
@@ -35,9 +36,15 @@ MOST_CHANNELS_SHOWN = 4
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `gonio fit`."""
     parser.add_argument("files", nargs="+", metavar="FILE", help="samples to fit")
-    parser.add_argument(
-        "--model", nargs="+", action="extend", metavar="NAME", help="models to fit (default: all, ranked)"
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
+        "--model",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="models to fit (default: the six usual ones, ranked)",
     )
+    which.add_argument("--all", action="store_true", help="fit every model there is")
     parser.add_argument(
         "--wavelength-nm",
         nargs="+",
@@ -62,10 +69,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit and print; see the module's description."""
-    from analysis.models import MODELS
+    from analysis.models import DEFAULT_MODELS, FITTED_MODELS, MODELS
     from analysis.samples import read, select
 
-    names = list(dict.fromkeys(options.model or MODELS))
+    usual = FITTED_MODELS if options.all else DEFAULT_MODELS
+    names = list(dict.fromkeys(options.model or usual))
     _check_names(names, list(MODELS))
     progress = Progress("fits", len(options.files) * len(names))
     entries = []

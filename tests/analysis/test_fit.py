@@ -50,7 +50,7 @@ def exact_samples(name, count=400, **extra):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", TRUTH)
 def test_exact_data_give_the_parameters_back(name, loss):
     """Catches a wrong Jacobian, a start in the wrong basin, and channels that are mixed up."""
     result = fit(exact_samples(name, u_f_r=0.01), name, loss=loss)

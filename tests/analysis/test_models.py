@@ -168,7 +168,7 @@ def test_scales_times_basis_is_the_model(name):
     np.testing.assert_allclose(total, model.evaluate(wi, wo), rtol=1e-14)
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "phong"])
+@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name].RECIPROCAL])
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_reciprocity_and_rotation(name, seed):
@@ -181,9 +181,28 @@ def test_reciprocity_and_rotation(name, seed):
     f = model.evaluate(wi, wo)
     assert np.all(f >= 0.0)
     np.testing.assert_allclose(model.evaluate(wo, wi), f, rtol=1e-11)
+    if not MODELS[name].ISOTROPIC:
+        return
     angle = random.uniform(0.0, 2.0 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
     np.testing.assert_allclose(model.evaluate(wi @ turn.T, wo @ turn.T), f, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if not MODELS[name].RECIPROCAL])
+def test_what_is_called_not_reciprocal_is_not(name):
+    """Catches a model that is reciprocal and listed among those that are not."""
+    wi, wo = direction(np.array([1.2]), np.zeros(1)), direction(np.array([0.9]), np.array([2.8]))
+    model = MODELS[name]()
+    assert abs(model.evaluate(wi, wo) / model.evaluate(wo, wi) - 1.0).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if not MODELS[name].ISOTROPIC])
+def test_what_is_called_anisotropic_is(name):
+    """Catches a model whose direction of brushing does nothing."""
+    wi, wo = direction(np.array([0.5]), np.zeros(1)), direction(np.array([0.4]), np.array([2.8]))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    model = MODELS[name]()
+    assert abs(model.evaluate(wi @ turn.T, wo @ turn.T) / model.evaluate(wi, wo) - 1.0).max() > 1e-3
 
 
 def test_phong_is_not_reciprocal():
@@ -223,6 +242,37 @@ def test_normalised_lobes_reflect_what_ks_says(name, exponent):
     ]
     assert albedo[0] == pytest.approx(0.8, rel=1e-4)
     assert max(albedo) <= 0.8 * (1.0 + 1e-4)
+
+
+def widest(name, random):
+    """Return shapes within the bounds whose lobe the quadrature of `hemisphere` resolves."""
+    shape = {}
+    for p in MODELS[name].PARAMETERS:
+        if p.kind is Kind.SHAPE:
+            low, high = p.bounds
+            if p.name.startswith(("alpha", "m")) and p.coordinate is Coordinate.LOG:
+                low = 0.1
+            if p.name.startswith("exponent"):
+                high = 200.0
+            low, high = p.coordinate.forward(low), p.coordinate.forward(high)
+            shape[p.name] = float(np.clip(p.coordinate.inverse(random.uniform(low, high)), *p.bounds))
+    return shape
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name].CONSERVES])
+def test_what_conserves_energy_reflects_no_more_than_its_scale(name):
+    """Catches a term that creates light for some direction or shape, which a fit would take as true."""
+    wo, weight = hemisphere(160)
+    random = np.random.default_rng(3)
+    model = MODELS[name]
+    scales = [p.name for p in model.PARAMETERS if p.kind is not Kind.SHAPE]
+    for _ in range(3):
+        shape = widest(name, random)
+        for scale in scales:
+            f = model(**{key: float(key == scale) for key in scales}, **shape)
+            for theta in (0.0, 0.8, 1.3, 1.5):
+                albedo = float(weight @ f.evaluate(direction(np.array(theta), np.array(0.4)), wo)[:, 0])
+                assert albedo <= 1.0 + 2e-3, (scale, shape, theta)
 
 
 @pytest.mark.parametrize("m", [0.1, 0.4])

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from analysis.models import MODELS
+from analysis.models import DEFAULT_MODELS, FITTED_MODELS, MODELS
 from analysis.samples import make_samples, write
 from gonio.cli import main
 from rig.angles import spherical_to_direction
@@ -49,17 +49,25 @@ def test_all_models_ranked_for_people(table, capsys):
     assert main(["fit", str(table)]) == 0
     out = capsys.readouterr().out
     ranking = [line.split() for line in out.split("\n\n")[1].splitlines()[1:]]
-    assert {row[0] for row in ranking} == set(MODELS)
+    assert {row[0] for row in ranking} == set(DEFAULT_MODELS)
     values = [float(row[1]) for row in ranking]
     assert values == sorted(values)
     assert ranking[0][0].startswith("cook-torrance")
     assert "ks_F0 R" in out
 
 
+def test_all_means_all(table, capsys):
+    """Catches a model that a fit cannot take, or that --all forgets."""
+    assert main(["fit", str(table), "--all", "--json"]) == 0
+    fits = json.loads(capsys.readouterr().out)["fits"]
+    assert {entry["model"] for entry in fits} == set(FITTED_MODELS)
+    assert fits[0]["metrics"]["rms_log"] < 1e-6
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--model", "ggx"], "choose from lambert, phong"),
+        (["--model", "gxx"], "choose from lambert, phong"),
         (["--wavelength-nm", "550"], "its channels are R, G"),
         (["--loss", "rmse"], "chi2, log, cbrt, l2"),
         (["--loss", "chi2"], "needs uncertainties"),
