@@ -199,6 +199,75 @@ def test_a_passing_fault_is_shot_again_under_its_own_name(
         assert [event.kind for event in session.events()].count("retry") == 2
 
 
+def test_a_foreign_file_is_set_aside_and_told(
+    twin: Twin,
+    reference: Path,
+    tmp_path: Path,
+    make_plan: Callable[..., Plan],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Would catch somebody else's picture that is taken for a frame, or that stops the night."""
+    with Session.open(reference) as session:
+        other = session.poses("sample")[0].frames[0].path.read_bytes()
+    real, calls = Machine.shoot, 0
+
+    def shoot(self: Machine, *args: Any, **options: Any) -> Path:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            # Its file arrives between the trigger and the picture waited for.
+            mark = self.camera.mark
+
+            def marked() -> Any:
+                seen = mark()
+                (self.camera.folder / "foreign.dng").write_bytes(other)
+                (self.camera.folder / "torn.dng").write_bytes(other[: len(other) // 2])
+                time.sleep(0.2)
+                return seen
+
+            self.camera.mark = marked  # type: ignore[method-assign]
+        path = real(self, *args, **options)
+        self.camera.__dict__.pop("mark", None)
+        return path
+
+    monkeypatch.setattr(Machine, "shoot", shoot)
+    out = tmp_path / "s"
+    assert capture(make_plan(), twin.rig, out).complete
+    assert facts_of(out) == facts_of(reference)
+    kept = {file.name: file.read_bytes() for file in (out / "frames" / "stray").iterdir()}
+    assert kept["foreign.dng"] == other
+    with Session.open(out) as session:
+        reasons = {
+            event.detail["file"]: event.detail["reason"]
+            for event in session.events()
+            if event.kind == "stray"
+        }
+    assert "of shot" in reasons["foreign.dng"]
+    assert reasons["torn.dng"]
+    assert not [file for file in kept if file not in {"foreign.dng", "torn.dng"}]
+
+
+@pytest.mark.parametrize("mode", ["LAMP", "WIDTH"])
+def test_other_ways_of_timing_an_exposure(tmp_path: Path, make_plan: Callable[..., Plan], mode: str) -> None:
+    """Would catch frames refused as strays because the shutter was open longer than the light was on."""
+    from rig.description import default_rig
+
+    rig = default_rig(folder=tmp_path)
+    changed = rig.model_copy(update={"lamp": rig.lamp.model_copy(update={"mode": mode})})
+    dump_rig(changed, tmp_path / "machine.toml")
+    with Twin({"sample1": "lambert:kd=0.5"}, rig=tmp_path / "machine.toml", speed=200.0) as twin:
+        result = capture(make_plan(), twin.rig, tmp_path / "s")
+    assert result.complete
+    with Session.open(tmp_path / "s") as session:
+        for record in session.poses():
+            for frame in record.frames:
+                raw = read_raw(frame.path)
+                assert raw.exposure_s == frame.exposure_s
+                assert raw.lit == frame.lit
+                assert raw.shutter_s is not None
+                assert (raw.shutter_s > frame.exposure_s) == (mode == "LAMP")
+
+
 def test_a_fault_that_stays_ends_the_run_and_says_how_to_go_on(
     twin: Twin, tmp_path: Path, make_plan: Callable[..., Plan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
