@@ -12,6 +12,7 @@ those products are made once for all channels.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,13 +148,18 @@ def _best_scales(gram: Array, right: Array) -> tuple[Array, Array]:
 
 def _gram(basis: Array, squared: Array) -> Array:
     """Sum squared weights (..., C, N) times products of basis functions (..., K, N): (..., C, K, K)."""
-    count = basis.shape[-2]
-    rows, cols = np.triu_indices(count)
+    rows, cols, which = _pairs(basis.shape[-2])
     products = basis[..., rows, :] * basis[..., cols, :]
-    sums = np.matmul(squared, np.swapaxes(products, -1, -2))
+    return np.asarray(np.matmul(squared, np.swapaxes(products, -1, -2))[..., which])
+
+
+@cache
+def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of a symmetric matrix's upper triangle, and where each entry is found among them."""
+    rows, cols = np.triu_indices(count)
     which = np.empty((count, count), dtype=np.intp)
     which[rows, cols] = which[cols, rows] = np.arange(len(rows))
-    return np.asarray(sums[..., which])
+    return rows, cols, which
 
 
 def _against(values: Array, basis: Array) -> Array:

@@ -167,8 +167,10 @@ def _prepare(samples: xr.Dataset) -> _Data:
         ):
             used &= np.isfinite(column)
     # Rows that no channel uses carry nothing but time.
-    rows = np.flatnonzero(used.any(axis=1))
-    return _Data(samples.isel(sample=rows), wi[rows], wo[rows], f_r[rows], used[rows], stated)
+    rows = used.any(axis=1)
+    if not rows.all():
+        samples, wi, wo, f_r, used = samples.isel(sample=rows), wi[rows], wo[rows], f_r[rows], used[rows]
+    return _Data(samples, wi, wo, f_r, used, stated)
 
 
 def _check_enough(data: _Data, problem: Problem) -> None:
@@ -198,11 +200,15 @@ def _check_enough(data: _Data, problem: Problem) -> None:
 
 def _different_pairs(wi: Array, wo: Array, most: int) -> int:
     """Count the different pairs of directions, as far as `most`."""
-    rest, count = np.hstack([wi, wo]), 0
-    while len(rest) and count < most:
-        rest = rest[np.max(np.abs(rest - rest[0]), axis=1) > SAME_DIRECTION]
-        count += 1
-    return count
+    # The first hundred samples nearly always tell.
+    for count in (100, len(wi)):
+        rest, found = np.hstack([wi[:count], wo[:count]]), 0
+        while len(rest) and found < most:
+            rest = rest[np.max(np.abs(rest - rest[0]), axis=1) > SAME_DIRECTION]
+            found += 1
+        if found == most:
+            break
+    return found
 
 
 def _total(data: _Data, poses: list[uncertainty.SharedError]) -> Array:
