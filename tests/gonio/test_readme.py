@@ -41,9 +41,9 @@ def _environment() -> dict[str, str]:
 
 
 def _run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
+    done = subprocess.run(  # noqa: S602 - as the reader's shell would
         command,
-        shell=True,  # noqa: S602 - as the reader's shell would
+        shell=True,
         cwd=folder,
         env=_environment(),
         capture_output=True,
