@@ -74,12 +74,13 @@ def same_rig(folder: Path, facts: dict[str, Any], given: str | Path | None, port
             "the machine's file is gone", where=str(file), todo="say where it is now with --rig FILE"
         )
     rig = load_rig(file, **ports)
-    if facts["rig"]["hash"] not in {rig.hash} & {copy.hash}:
-        raise Refused(
-            "the machine is not the session's: its description has changed",
-            where=str(file if copy.hash == facts["rig"]["hash"] else folder / RIG_FILE),
-            todo="put it back as it was, or begin a new session",
-        )
+    for described, where in ((copy, folder / RIG_FILE), (rig, file)):
+        if described.hash != facts["rig"]["hash"]:
+            raise Refused(
+                "the machine is not the session's: its description has changed",
+                where=str(where),
+                todo="put it back as it was, or begin a new session",
+            )
     for place in (rig.folder, folder):
         _require_same_calibration(place, facts["calibration"])
     filled = {name: getattr(rig.ports, name) or getattr(copy.ports, name) for name in ("servos", "lamp")}

@@ -23,6 +23,7 @@ from capture.records import Role, ShotState, Visit
 from capture.session import (
     DOCUMENTS_FILE,
     JOURNAL_FILE,
+    is_complete,
     load_session_sensor,
     read_facts,
 )
@@ -274,11 +275,6 @@ class _Run:
     def _examine(self, path: Path, visit: Visit) -> FrameStatistics:
         return self.examiner.statistics(path, visit.held.angles_rad if visit.held else visit.angles_rad)
 
-    def _complete(self) -> bool:
-        visits = self.journal.visits()
-        darks = any(visit.role is Role.DARK for visit in visits)
-        return all(visit.done for visit in visits) and (darks or not self.plan.darks.count)
-
     def _journal_end(self, error: BaseException | None) -> None:
         """Stop light and arms and journal it all; a journal that cannot take it hides no error."""
         report = self.machine.stop()
@@ -286,7 +282,7 @@ class _Run:
             if error is not None:
                 self.journal.note("failed", error=str(error))
             else:
-                self.journal.note("finished" if self._complete() else "interrupted")
+                self.journal.note("finished" if is_complete(self.journal, self.plan) else "interrupted")
             self.journal.note("stopped", **report.as_dict())
 
     def _then_resume(self, todo: str) -> str:
@@ -297,7 +293,7 @@ class _Run:
         visits = self.journal.visits()
         return CaptureResult(
             session=self.folder,
-            complete=self._complete(),
+            complete=is_complete(self.journal, self.plan),
             poses=sum(visit.done and visit.role is Role.SAMPLE for visit in visits),
             frames=sum(shot.state is ShotState.VERIFIED for shot in self.journal.shots()),
             refused=sum(pose.refused is not None for pose in self.journal.poses()),

@@ -217,11 +217,7 @@ class Session:
 
     def complete(self) -> bool:
         """Whether everything planned has been done."""
-        visits = self.journal.visits()
-        wanted = self.plan.darks.count > 0
-        return all(visit.done for visit in visits) and (
-            not wanted or any(visit.role is Role.DARK for visit in visits)
-        )
+        return is_complete(self.journal, self.plan)
 
     def events(self) -> list[Event]:
         """Interruptions, strays, stops."""
@@ -265,6 +261,20 @@ class Session:
             flags=visit.flags,
             complete=visit.done,
         )
+
+
+def is_complete(journal: Journal, plan: Plan) -> bool:
+    """Whether everything planned has been done, darks included.
+
+    Parameters
+    ----------
+    journal : Journal
+    plan : Plan
+        The session's.
+    """
+    visits = journal.visits()
+    darks = any(visit.role is Role.DARK for visit in visits)
+    return all(visit.done for visit in visits) and (darks or not plan.darks.count)
 
 
 def read_facts(folder: Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import hashlib
 import json
 import os
 import platform
+import shutil
 import tempfile
 from importlib import metadata
 from pathlib import Path
@@ -84,24 +85,33 @@ def create_session(
     with full_disk_in_one_line(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-        folder.chmod(0o755)
-        (folder / STRAY_FOLDER).mkdir(parents=True)
-        calibration = _copy_calibration(itinerary.rig.folder, folder)
-        dump_plan(itinerary.plan, folder / PLAN_FILE)
-        dump_rig(itinerary.rig, folder / RIG_FILE)
-        facts = _facts(itinerary, rig_file, calibration, servos)
-        (folder / SESSION_FILE).write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
-        with Journal.create(folder / JOURNAL_FILE, itinerary.planned(), itinerary.visits()) as journal:
-            journal.note("started", by=facts["operator"])
-            refused = itinerary.feasible.counts
-            if refused:
-                journal.note("refused", reasons=refused)
-        for file in folder.iterdir():
-            if file.is_file():
-                sync_file(file)
-        sync_folder(folder)
-        folder.rename(out)
+        try:
+            _fill(folder, itinerary, rig_file, servos)
+            folder.rename(out)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         sync_folder(out.parent)
+
+
+def _fill(folder: Path, itinerary: Itinerary, rig_file: Path | None, servos: Mapping[str, Any]) -> None:
+    """Put everything that a session begins with into an empty folder, and on the disk."""
+    folder.chmod(0o755)
+    (folder / STRAY_FOLDER).mkdir(parents=True)
+    calibration = _copy_calibration(itinerary.rig.folder, folder)
+    dump_plan(itinerary.plan, folder / PLAN_FILE)
+    dump_rig(itinerary.rig, folder / RIG_FILE)
+    facts = _facts(itinerary, rig_file, calibration, servos)
+    (folder / SESSION_FILE).write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    with Journal.create(folder / JOURNAL_FILE, itinerary.planned(), itinerary.visits()) as journal:
+        journal.note("started", by=facts["operator"])
+        refused = itinerary.feasible.counts
+        if refused:
+            journal.note("refused", reasons=refused)
+    for file in folder.iterdir():
+        if file.is_file():
+            sync_file(file)
+    sync_folder(folder)
 
 
 def require_free(out: Path) -> None:

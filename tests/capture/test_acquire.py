@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from capture.plan import Plan
 
 
+MATERIAL = "cook-torrance:kd=0.1,ks=0.5,m=0.2,ior=1.5"
+"""What the twin of these tests holds."""
+
+
 def facts_of(session: Path) -> dict[str, Any]:
     """Return all of a session that must not depend on how often it was interrupted."""
     with Journal(session / "journal.db", read_only=True) as journal:
@@ -354,6 +358,29 @@ def test_resume_refuses_another_plan_machine_or_calibration(
         resume(reference, rig=tmp_path / "rig.toml")
     with pytest.raises(Refused, match="--rig"):
         resume(reference, rig=tmp_path / "gone.toml")
+
+
+def test_the_same_machine_on_other_ports_goes_on(
+    twin: Twin, reference: Path, tmp_path: Path, make_plan: Callable[..., Plan]
+) -> None:
+    """Would catch a replugged adapter, or a moved rig file, taken for another machine."""
+    out = tmp_path / "s"
+
+    class AfterThree:
+        finish_requested = abort_requested = False
+
+        def on_abort(self, callback: Callable[[], object]) -> None:
+            del callback
+
+        def count(self, done: int, _total: int, _note: str) -> None:
+            self.finish_requested = done >= 3
+
+    controls = AfterThree()
+    capture(make_plan(), twin.rig, out, wishes=Wishes(controls=controls, progress=controls.count))
+    with Twin({"sample1": MATERIAL}, seed=7, speed=200.0) as other:
+        assert other.servos != twin.servos
+        assert resume(out, rig=other.rig).complete
+    assert facts_of(out) == facts_of(reference)
 
 
 def test_resuming_a_complete_session_shoots_nothing(twin: Twin, reference: Path) -> None:
