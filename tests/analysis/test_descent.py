@@ -114,22 +114,20 @@ def test_members_know_their_own_problem():
 
 
 def test_large_residuals_do_not_slow_the_search():
-    """Catches the loss of the curvature that J^T J leaves out: it is over half of it here."""
-    t = np.linspace(0.0, 3.0, 30)
-    data = np.where(np.arange(30) % 2, 3.0, -2.0) + np.exp(-t)
-    calls = []
+    """Catches the loss of the curvature that J^T J leaves out, which alone takes thousands of steps here.
+
+    The curvature is 2 - 2 bend at the solution, 0, and J^T J holds the 2 of it.
+    """
+    bend, calls = 0.99, []
 
     def residual(x):
         calls.append(x)
-        return np.exp(-x[0] * t) * np.cos(3.0 * x[1] * t) - data
+        return np.array([x[0] + 1.0, bend * x[0] ** 2 + x[0] - 1.0])
 
     def slopes(x):
-        decay, turn = np.exp(-x[0] * t), 3.0 * x[1] * t
-        return np.stack([-t * decay * np.cos(turn), -3.0 * t * decay * np.sin(turn)], axis=1)
+        return np.array([[1.0], [2.0 * bend * x[0] + 1.0]])
 
-    bounds = (np.full(2, -2.0), np.full(2, 9.0))
-    found = search(residual, slopes, np.array([0.5, 0.5]), bounds, tolerance=1e-13, most=300)
-    gradient = slopes(found.x).T @ residual(found.x)
-    inside = (found.x > bounds[0]) & (found.x < bounds[1])
-    assert np.max(np.abs(gradient[inside]), initial=0.0) < 1e-4 * found.cost
-    assert len(calls) < 40
+    bounds = (np.full(1, -0.3), np.full(1, 0.3))
+    found = search(residual, slopes, np.array([0.2]), bounds, tolerance=1e-15, most=3000)
+    np.testing.assert_allclose(found.x, 0.0, atol=1e-6)
+    assert len(calls) < 25
