@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
+import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gonio.output import say
 from rig.errors import BadInput, GonioError
 
 if TYPE_CHECKING:
@@ -33,6 +37,12 @@ COMMANDS: dict[str, str] = {
 """Sub-commands and their one-line help; `gonio.commands.<name>` implements each."""
 
 EXIT_INTERRUPTED = 130
+
+EXIT_DEFECT = 1
+"""Exit code of an error that nobody foresaw."""
+
+TRACEBACK_VARIABLE = "GONIO_TRACEBACK"
+"""Environment variable that shows a developer the whole of such an error."""
 
 
 def _command_module(name: str) -> ModuleType:
@@ -89,9 +99,43 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0 done, 2 bad input, 3 refused, 4 device lost, 5 unsafe, 130 Ctrl-C, 143 SIGTERM.
+        The exit code: 0 done, 2 bad input, 3 refused, 4 device lost, 5 unsafe, 130 Ctrl-C, 143 SIGTERM,
+        1 an error that nobody foresaw.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _escape_what_cannot_be_shown()
+    try:
+        code, message = _run(arguments)
+    except SystemExit:  # argparse has shown its help, or its complaint
+        _finish_output()
+        raise
+    complaint = message or _finish_output()
+    if complaint:
+        say(f"{' '.join(['gonio', *arguments[:1]])}: {complaint}")
+    return code or (BadInput.exit_code if complaint else 0)
+
+
+def _run(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run a command to its exit code and, where it failed, the one line that says why."""
+    try:
+        return _dispatch(arguments), ""
+    except GonioError as error:
+        return error.exit_code, _one_line(error)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED, "interrupted"
+    except BrokenPipeError:
+        # The reader of our output left (`gonio ... | head`): nothing to tell it, no traceback at shutdown.
+        _drop_output()
+        return 0, ""
+    except OSError as error:
+        return BadInput.exit_code, _operating_system_error(error)
+    except Exception as error:
+        if os.environ.get(TRACEBACK_VARIABLE):
+            raise
+        return EXIT_DEFECT, _defect(error)
+
+
+def _dispatch(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in {"-h", "--help", "help"}:
         print(_overview())
         return 0
@@ -102,28 +146,43 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     name, *rest = arguments
     if name not in COMMANDS:
-        print(f"gonio: unknown command '{name}'; gonio --help lists the commands", file=sys.stderr)
-        return BadInput.exit_code
-    return _run(name, rest)
+        raise BadInput("unknown command", todo="gonio --help lists the commands")
+    module = _command_module(name)
+    options = _parser(name, module).parse_args(_with_negative_values(rest))
+    return int(module.run(options) or 0)
 
 
-def _run(name: str, arguments: Sequence[str]) -> int:
+def _escape_what_cannot_be_shown() -> None:
+    """Show a file name that is no text, or a letter that the terminal lacks, as an escape, not an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _finish_output() -> str:
+    """Write out what is buffered while an error can still be said; the complaint, or nothing."""
     try:
-        module = _command_module(name)
-        options = _parser(name, module).parse_args(_with_negative_values(arguments))
-        return int(module.run(options) or 0)
-    except GonioError as error:
-        message, code = _one_line(error), error.exit_code
-    except KeyboardInterrupt:
-        message, code = "interrupted", EXIT_INTERRUPTED
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of our output left (`gonio ... | head`): nothing to tell it, no traceback at shutdown.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        _drop_output()
     except OSError as error:
-        message, code = _operating_system_error(error), BadInput.exit_code
-    print(f"gonio {name}: {message}", file=sys.stderr)
-    return code
+        _drop_output()
+        return _operating_system_error(error)
+    return ""
+
+
+def _drop_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _defect(error: Exception) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "gonio"
+    return (
+        f"unexpected {type(error).__name__} at {place}: {_one_line(error)}; this is a defect of gonio, "
+        f"{TRACEBACK_VARIABLE}=1 shows where it comes from"
+    )
 
 
 def _one_line(error: Exception) -> str:

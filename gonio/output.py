@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
@@ -21,6 +22,12 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 def print_json(result: Mapping[str, Any]) -> None:
     """Print one JSON object on standard output; numpy values become lists and numbers, NaN becomes null."""
     print(json.dumps(_plain(result)), flush=True)
+
+
+def say(text: str, *, end: str = "\n") -> None:
+    """Tell a person something on standard error; work goes on where nobody reads it any more."""
+    with contextlib.suppress(OSError, ValueError):  # the terminal was closed, the pipe's reader left
+        print(text, end=end, file=sys.stderr, flush=True)
 
 
 def _plain(value: Any) -> Any:
@@ -70,4 +77,4 @@ class Progress:
         text = f"{self._label} {self._done}/{self._total}  {elapsed:.0f} s, about {left:.0f} s left  {note}"
         end = "\n" if not self._terminal or self._done >= self._total else ""
         start = "\r\x1b[K" if self._terminal else ""
-        print(f"{start}{text.rstrip()}", end=end, file=sys.stderr, flush=True)
+        say(f"{start}{text.rstrip()}", end=end)

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import Progress, add_json_option, print_json
+from gonio.output import Progress, add_json_option, print_json, say
 from rig.errors import BadInput, GonioError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         except GonioError as error:
             if requests.exit_code is None:
                 raise
-            print(f"gonio capture: {' '.join(str(error).split())}", file=sys.stderr)
+            say(f"gonio capture: {' '.join(str(error).split())}")
             return requests.exit_code
         exit_code = requests.exit_code
     _print_result(result, json=options.json)
@@ -108,7 +108,7 @@ def _wishes(requests: StopRequests, mounted: frozenset[str]) -> Wishes:
         mount=(lambda _role, label: _ask(requests, label)) if sys.stdin.isatty() else None,
         mounted=mounted,
         progress=progress,
-        say=lambda line: print(f"gonio capture: {line}", file=sys.stderr),
+        say=lambda line: say(f"gonio capture: {line}"),
     )
 
 
@@ -119,7 +119,7 @@ def _ask(requests: StopRequests, label: str) -> bool:
     """
     import threading
 
-    print(f"Mount {label}, then press Enter (Ctrl-C to stop here): ", end="", file=sys.stderr, flush=True)
+    say(f"Mount {label}, then press Enter (Ctrl-C to stop here): ", end="")
     answer: list[str] = []
     reader = threading.Thread(target=lambda: answer.append(sys.stdin.readline()), daemon=True)
     reader.start()
@@ -149,7 +149,4 @@ def _print_result(result: CaptureResult, *, json: bool) -> None:
             f"{result.seconds:.1f} s; light off and arms stopped: {stopped}"
         )
     if not result.complete:
-        print(
-            f"gonio capture: interrupted; go on with: gonio capture --resume {result.session}",
-            file=sys.stderr,
-        )
+        say(f"gonio capture: interrupted; go on with: gonio capture --resume {result.session}")

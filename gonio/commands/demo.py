@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.demo_samples import SAMPLES, DemoSample, Pose, few
-from gonio.output import Progress, add_json_option, print_json
+from gonio.output import Progress, add_json_option, print_json, say
 from rig.errors import BadInput, DeviceLost, Refused
 
 if TYPE_CHECKING:
@@ -213,7 +213,7 @@ class _Capture:
     def __init__(self, out: Path, sample: DemoSample, poses: Sequence[Pose], rig: str) -> None:
         plan, session = out / f"{_session(out, sample).name}.toml", _session(out, sample)
         _write_plan(plan, sample, poses)
-        print(f"gonio capture {plan} --rig {rig} --out {session}", file=sys.stderr, flush=True)
+        say(f"gonio capture {plan} --rig {rig} --out {session}")
         self._name = sample.name
         self._process = subprocess.Popen(
             [sys.executable, "-m", "gonio.cli", "capture", str(plan), "--rig", rig, "--out", str(session)],

@@ -13,11 +13,10 @@ Angles are degrees: a list (0,15,30), a range with step (0:60:15), or both (0:60
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import add_json_option, print_json
+from gonio.output import add_json_option, print_json, say
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -232,11 +231,11 @@ def _print(itinerary: Itinerary, plan: Plan, written: Path, *, json: bool) -> No
         f"plane, {coverage['near_specular']} within 5 deg of the mirror direction"
     )
     for reason, count in forecast.refused_by.items():
-        print(f"refused:   {_poses(count)}: {reason}", file=sys.stderr)
+        say(f"refused:   {_poses(count)}: {reason}")
     for refusal in refusals[:LISTED]:
-        print(f"           {refusal.detail}", file=sys.stderr)
+        say(f"           {refusal.detail}")
     if len(refusals) > LISTED:
-        print(f"           and {len(refusals) - LISTED} more, all with --json", file=sys.stderr)
+        say(f"           and {len(refusals) - LISTED} more, all with --json")
 
 
 def _poses(count: int) -> str:

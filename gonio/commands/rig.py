@@ -9,11 +9,10 @@ stop   light off and arms stopped, whoever runs the machine
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import add_json_option, print_json
+from gonio.output import add_json_option, print_json, say
 from rig.errors import BadInput, GonioError
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def _check(rig: Rig, options: argparse.Namespace) -> int:
     else:
         _print_checkup(found.as_dict(), found.handshake.table() if found.handshake else "")
     for fault in found.faults[1:]:
-        print(f"gonio rig: {' '.join(str(fault).split())}", file=sys.stderr)
+        say(f"gonio rig: {' '.join(str(fault).split())}")
     if found.faults:
         raise found.faults[0]
     return 0
@@ -141,7 +140,7 @@ def _run_machine(rig: Rig, options: argparse.Namespace, action: Callable[[Machin
         except GonioError as error:
             if requests.exit_code is None:
                 raise
-            print(f"gonio rig: {error}", file=sys.stderr)
+            say(f"gonio rig: {error}")
             return requests.exit_code
     _print_pose(rig, pose, json=options.json)
     return requests.exit_code or 0
@@ -163,6 +162,7 @@ def _print_pose(rig: Rig, pose: HeldPose, *, json: bool) -> None:
 
 def _stop(rig: Rig, options: argparse.Namespace) -> int:
     from rig.owner import request_stop
+    from rig.stop_report import StopOutcome
 
     report = request_stop(rig)
     if options.json:
@@ -171,6 +171,11 @@ def _stop(rig: Rig, options: argparse.Namespace) -> int:
         print(f"stop {report.outcome.value}")
         for line in report.details:
             print(f"  {line}")
+    unsure = ", ".join(part.part for part in report.parts if part.outcome is not StopOutcome.CONFIRMED)
+    if unsure:
+        say(
+            f"gonio rig: {rig.name}: {unsure} not proved stopped; look, and cut the power by hand if in doubt"
+        )
     return EXIT_BY_STOP[report.outcome.value]
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from gonio import cli
+from gonio.output import Progress, say
 
 HEAVY = (
     "numpy",
@@ -83,3 +87,78 @@ def test_a_range_may_begin_below_zero() -> None:
     """Catches `--theta-o-deg -60:60:20` read as an unknown option."""
     tied = cli._with_negative_values(["--theta-o-deg", "-60:60:20", "--x", ".5", "-1", "--json", "-h"])
     assert tied == ["--theta-o-deg=-60:60:20", "--x", ".5", "-1", "--json", "-h"]
+
+
+def _piped(arguments: list[str], output: int, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run gonio as a shell does, its output buffered, into an open file."""
+    return subprocess.run(
+        [sys.executable, "-m", "gonio.cli", *arguments],
+        stdout=output,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "", **environment},
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("buffered", ["", "1"])
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["rig", "--help"]])
+def test_a_reader_that_left_is_no_error(arguments: list[str], buffered: str) -> None:
+    """Catches `gonio --help | head -1` that ends in a traceback."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    run = _piped(arguments, writer, PYTHONUNBUFFERED=buffered)
+    os.close(writer)
+    assert (run.returncode, run.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("buffered", ["", "1"])
+def test_results_on_a_full_disk_are_an_error(buffered: str) -> None:
+    """Catches `gonio ... > file` that loses its results and says that all is well."""
+    with Path("/dev/full").open("wb") as full:
+        run = _piped(["--help"], full.fileno(), PYTHONUNBUFFERED=buffered)
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert b"No space left" in run.stderr
+
+
+def test_names_that_are_no_text_can_be_shown() -> None:
+    """Catches an error message that fails because of the file name in it."""
+    run = _piped(["fit", "\udcff.csv"], subprocess.DEVNULL, PYTHONIOENCODING="utf-8:strict")
+    assert run.returncode == 2
+    assert b"\\udcff.csv: no such file" in run.stderr
+
+
+def test_what_nobody_foresaw_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a traceback before a person, or a defect that a developer cannot trace."""
+
+    def run(_options: object) -> int:
+        return int("one")
+
+    module = SimpleNamespace(__doc__="", EXAMPLE="", configure=lambda _parser: None, run=run)
+    monkeypatch.setattr(cli, "_command_module", lambda _name: module)
+    monkeypatch.delenv(cli.TRACEBACK_VARIABLE, raising=False)
+    assert cli.main(["fit"]) == cli.EXIT_DEFECT
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert "ValueError at test_cli.py:" in error
+    monkeypatch.setenv(cli.TRACEBACK_VARIABLE, "1")
+    with pytest.raises(ValueError, match="one"):
+        cli.main(["fit"])
+
+
+def test_work_goes_on_when_the_terminal_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a capture of hours that dies of a progress line that nobody reads."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w", buffering=1) as closed:
+        monkeypatch.setattr(sys, "stderr", closed)
+        say("text")
+        Progress("capture", 1)()
+        with pytest.raises(BrokenPipeError):
+            closed.write("text\n")
+        monkeypatch.undo()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), closed.fileno())

@@ -74,7 +74,7 @@ def test_check_move_park_stop(twin: Twin) -> None:
         (["move", "turntable=nan"], 2, "no angle"),
         (["move", "turntable=200"], 3, "limits -180"),
         (["move", "--station", "sample9"], 2, "stations are white"),
-        (["stop", "--servos", "/dev/nope", "--lamp", "/dev/nope"], 4, ""),
+        (["stop", "--servos", "/dev/nope", "--lamp", "/dev/nope"], 4, "lamp, servos not proved stopped"),
     ],
 )
 def test_mistakes_are_one_line(twin: Twin, arguments: list[str], code: int, message: str) -> None:
