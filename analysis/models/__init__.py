@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from analysis.models.anisotropic import BeckmannAnisotropic, GGXAnisotropic
 from analysis.models.beckmann import Beckmann, BeckmannSeparable
 from analysis.models.blinn_phong import BlinnPhong
 from analysis.models.cook_torrance import CookTorrance, CookTorrance1982
 from analysis.models.cook_torrance_facets import CookTorranceConductor, CookTorranceGGX, CookTorranceSchlick
 from analysis.models.ggx import GGX, GGXConductor, GGXDielectric, GGXSeparable
+from analysis.models.lafortune import Lafortune, LafortuneRetro
 from analysis.models.lambert import Lambert
 from analysis.models.phong import ModifiedPhong, Phong
+from analysis.models.torrance_sparrow import (
+    TorranceSparrowCosine,
+    TorranceSparrowGauss,
+    TorranceSparrowTrowbridgeReitz,
+)
+from analysis.models.two_lobes import GGXRetro, GGXTwoLobes
+from analysis.models.ward import Ward, WardBounded, WardDuer
 
 if TYPE_CHECKING:
     from analysis.models.base import Model
@@ -22,6 +31,14 @@ MODELS: dict[str, type[Model]] = {
         Phong,
         ModifiedPhong,
         BlinnPhong,
+        Lafortune,
+        LafortuneRetro,
+        Ward,
+        WardDuer,
+        WardBounded,
+        TorranceSparrowCosine,
+        TorranceSparrowGauss,
+        TorranceSparrowTrowbridgeReitz,
         CookTorrance1982,
         CookTorrance,
         CookTorranceSchlick,
@@ -33,6 +50,10 @@ MODELS: dict[str, type[Model]] = {
         GGXSeparable,
         GGXDielectric,
         GGXConductor,
+        GGXTwoLobes,
+        GGXRetro,
+        BeckmannAnisotropic,
+        GGXAnisotropic,
     )
 }
 """Every model by name: `MODELS[name](**parameters).evaluate(wi, wo)`."""
