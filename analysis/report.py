@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from analysis import report_sections as sections
 from analysis.evaluation import evaluate_fit
+from rig.files import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -104,8 +105,15 @@ def write_report(
         One section each.
     facts : mapping of str to str, optional
         What holds for all of them: machine, its hash, versions.
+
+    Raises
+    ------
+    BadInput, Refused
+        The file cannot be written, or the disk is full; an earlier page stays.
     """
-    path.write_text(build_page(title, measurements, lead=lead, facts=facts or {}), encoding="utf-8")
+    page = build_page(title, measurements, lead=lead, facts=facts or {})
+    with whole_file(path) as file:
+        file.write_text(page, encoding="utf-8")
 
 
 def build_page(

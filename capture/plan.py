@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError
 
 from capture import poses
 from rig.errors import BadInput
+from rig.files import whole_file
 from rig.parts import Part
 from rig.rig_errors import explain
 
@@ -261,15 +262,11 @@ def dump_plan(plan: Plan, path: str | Path) -> None:
 
     Raises
     ------
-    BadInput
-        The file cannot be written.
+    BadInput, Refused
+        The file cannot be written, or the disk is full.
     """
     import tomli_w
 
     text = tomli_w.dumps(plan.model_dump(mode="json"))
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput(
-            error.strerror or "cannot be written", where=str(path), todo="choose another place"
-        ) from None
+    with whole_file(path) as file:
+        file.write_text(text, encoding="utf-8")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from capture.merge import Flag
+from rig.files import whole_file
 
 if TYPE_CHECKING:
     import os
@@ -46,26 +46,25 @@ def write_radiance(
         Names of the frames.
     cfa, channels
         As in `RawFrame`.
+
+    Raises
+    ------
+    BadInput, Refused
+        The file cannot be written, or the disk is full; an earlier file stays.
     """
-    path = Path(path)
-    hidden = path.with_name(f".{path.name}.part")
-    try:
-        with hidden.open("wb") as file:
-            np.savez_compressed(
-                file,
-                radiance=merged.radiance,
-                variance=merged.variance,
-                flags=merged.flags,
-                exposure_s=np.asarray(merged.report.exposure_s),
-                exposure_nominal_s=np.asarray(exposure_nominal_s),
-                clip_dn=np.reshape(np.asarray(merged.report.clip_dn), (2, 2)),
-                cfa=cfa,
-                channels=np.asarray(channels),
-                files=np.asarray(files),
-            )
-        hidden.replace(path)
-    finally:
-        hidden.unlink(missing_ok=True)
+    with whole_file(path) as place, place.open("wb") as file:
+        np.savez_compressed(
+            file,
+            radiance=merged.radiance,
+            variance=merged.variance,
+            flags=merged.flags,
+            exposure_s=np.asarray(merged.report.exposure_s),
+            exposure_nominal_s=np.asarray(exposure_nominal_s),
+            clip_dn=np.reshape(np.asarray(merged.report.clip_dn), (2, 2)),
+            cfa=cfa,
+            channels=np.asarray(channels),
+            files=np.asarray(files),
+        )
 
 
 def preview(merged: Merged, cfa: NDArray[np.int64], channels: Sequence[str]) -> NDArray[np.uint8]:

@@ -258,7 +258,8 @@ def _frame_from_libraw(path: Path, tags: Mapping[int, Any]) -> RawFrame:
     import rawpy
 
     try:
-        with rawpy.imread(str(path)) as raw:
+        # Opened here, because LibRaw takes only names that are text.
+        with path.open("rb") as file, rawpy.imread(file) as raw:
             cfa, channels, colours = _libraw_cfa(raw, path)
             counts = raw.raw_image_visible.copy()  # the view dies with the file
             black = np.asarray(raw.black_level_per_channel, dtype=np.float64)

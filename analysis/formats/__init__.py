@@ -10,6 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput
+from rig.files import whole_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +60,9 @@ def write(samples: xr.Dataset, path: Path) -> None:
     Raises
     ------
     BadInput
-        If no format is written under that suffix.
+        If no format is written under that suffix, or the file cannot be written there.
+    Refused
+        If the disk is full; an earlier file stays.
     """
     writers = {module.SUFFIX: module for module in _modules() if hasattr(module, "SUFFIX")}
     if path.suffix.lower() not in writers:
@@ -68,7 +71,8 @@ def write(samples: xr.Dataset, path: Path) -> None:
             where=str(path),
             todo=f"end the name in {', '.join(writers)}",
         )
-    writers[path.suffix.lower()].write(samples, path)
+    with whole_file(path) as file:
+        writers[path.suffix.lower()].write(samples, file)
 
 
 def _recognise(path: Path) -> ModuleType:

@@ -162,13 +162,15 @@ def _write_preview(result: BracketMerge, path: Path) -> None:
     import cv2
 
     from capture.radiance import preview
+    from rig.files import whole_file
 
     first = result.frames[0]
     picture = preview(result.merged, first.cfa, first.channels)
     done, data = cv2.imencode(".png", picture[..., ::-1])
     if not done:
         raise BadInput("the picture could not be encoded", where=str(path), todo="leave --preview out")
-    path.write_bytes(data.tobytes())
+    with whole_file(path) as file:
+        file.write_bytes(data.tobytes())
 
 
 def _flag_counts(flags: Any) -> dict[str, int]:

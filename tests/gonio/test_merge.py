@@ -162,13 +162,13 @@ def test_session_is_merged_pose_by_pose(
 ) -> None:
     """Would catch darks of the session left out, white and sample mixed up, or dark frames merged."""
     from capture.sensor import load_sensor
-    from capture.session import FrameRecord, PoseRecord, Session
+    from capture.session import FrameRecord, PoseRecord, Session, hash_file
 
     files, scene = bracket(tmp_path)
     folder = tmp_path / "session"
     folder.mkdir()
     frames = tuple(
-        FrameRecord(Path(file), f"s{index}", seconds, lit=True, sha256="")
+        FrameRecord(Path(file), f"s{index}", seconds, lit=True, sha256=hash_file(file))
         for index, (file, seconds) in enumerate(zip(files, (0.01, 0.04, 0.16), strict=True))
     )
     poses = [
