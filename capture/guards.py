@@ -117,7 +117,7 @@ def require_disk(out: Path, needed: int) -> None:
     free = shutil.disk_usage(place).free
     if free < needed * DISK_MARGIN:
         raise Refused(
-            f"{free / 1e6:.0f} MB free, about {needed / 1e6:.0f} MB needed",
+            f"{free / 1e6:.1f} MB free, {needed * DISK_MARGIN / 1e6:.1f} MB needed with a margin",
             where=str(place),
             todo="free some space, or choose another disk",
         )

@@ -7,6 +7,7 @@ LibRaw, with exact rational exposure times, and equals LibRaw bit for bit; all o
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -258,8 +259,7 @@ def _frame_from_libraw(path: Path, tags: Mapping[int, Any]) -> RawFrame:
     import rawpy
 
     try:
-        # Opened here, because LibRaw takes only names that are text.
-        with path.open("rb") as file, rawpy.imread(file) as raw:
+        with _open_with_libraw(path) as raw:
             cfa, channels, colours = _libraw_cfa(raw, path)
             counts = raw.raw_image_visible.copy()  # the view dies with the file
             black = np.asarray(raw.black_level_per_channel, dtype=np.float64)
@@ -286,6 +286,15 @@ def _frame_from_libraw(path: Path, tags: Mapping[int, Any]) -> RawFrame:
             iso=float(other.iso_speed) or None,
         ),
     )
+
+
+def _open_with_libraw(path: Path) -> Any:
+    import rawpy
+
+    try:
+        return rawpy.imread(str(path))
+    except UnicodeEncodeError:  # LibRaw takes only names that are text
+        return rawpy.imread(io.BytesIO(path.read_bytes()))
 
 
 def _libraw_cfa(raw: Any, path: Path) -> tuple[NDArray[np.int64], tuple[str, ...], NDArray[np.int64]]:

@@ -78,13 +78,14 @@ def read(path: Path) -> xr.Dataset:
 
 def write(samples: xr.Dataset, path: Path) -> None:
     """Write samples, compressed; what the Dataset holds beyond the known variables is kept too."""
-    samples.to_netcdf(
-        path,
+    content = samples.to_netcdf(
         engine="h5netcdf",
         encoding={
             str(name): {"zlib": True, "complevel": 1} for name in samples.data_vars if samples[name].ndim
         },
     )
+    # Made in memory: where the disk is full, HDF5 cannot even close its file, and ends the process.
+    path.write_bytes(content)
 
 
 def _check(opened: xr.Dataset, path: Path) -> None:

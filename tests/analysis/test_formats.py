@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -172,6 +175,19 @@ def test_netcdf_that_announces_too_much(tmp_path):
                 file[name].dims[axis].label = dimension
     with pytest.raises(BadInput, match=r"huge\.nc"):
         read(path)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_netcdf_on_a_full_disk_is_one_line():
+    """Catches HDF5 closing a file that has no room, which ends the whole process."""
+    code = (
+        "import numpy as np; from pathlib import Path; from analysis.formats import netcdf\n"
+        "from analysis.samples import make_samples; up = np.tile([0.0, 0.0, 1.0], (5000, 1))\n"
+        "netcdf.write(make_samples(up, up, np.random.default_rng(0).random(5000)), Path('/dev/full'))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.endswith("OSError: [Errno 28] No space left on device\n")
 
 
 def test_npz_does_not_unpickle(tmp_path):
