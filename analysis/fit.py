@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +10,18 @@ from numpy.typing import NDArray
 
 from analysis import uncertainty
 from analysis.equations import Problem
+from analysis.identifiability import (
+    Caution,
+    Kind,
+    about_misfit,
+    about_scales,
+    about_shapes,
+    about_the_lobe,
+    correlation_matrix,
+)
 from analysis.losses import Loss, make_loss
 from analysis.metrics import goodness
-from analysis.models import MODELS
+from analysis.models import FITTED_MODELS, MODELS
 from analysis.models.base import Geometry
 from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
 from analysis.solver import SearchJacobian, Solution, minimise, search_jacobian
@@ -27,16 +36,36 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-UNDETERMINED = 0.5
-"""Relative standard uncertainty of a shape (of ior - 1) from which on the samples do not determine it."""
 AT_BOUND = 1e-4
 """Distance to a bound, as a share of its range in search coordinates, at which a shape counts as on it."""
-FEWEST_LEVELS = 4
-"""Distinct points of a lobe that samples must lie on before its width means anything."""
 SAME_DIRECTION = 1e-9
 """Difference of components below which two directions are one."""
-MISFIT = 2.0
-"""Chi-square per degree of freedom from which on model or uncertainties do not describe the samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A fit as its solver knows it.
+
+    Attributes
+    ----------
+    problem : Problem
+        Directions and model.
+    loss : Loss
+        Data and weights, arrays (N, C).
+    solution : Solution
+        The minimum.
+    scatter : float
+        Standard deviation of a residual: 1 where uncertainties are stated, else from the residuals.
+    inflation : ndarray, shape (P,)
+        By how much the standard uncertainty of each parameter exceeds that of independent residuals of one
+        size; NaN where the samples do not determine it.
+    """
+
+    problem: Problem
+    loss: Loss
+    solution: Solution
+    scatter: float
+    inflation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +95,10 @@ class FitResult:
         Number of data used, over all channels.
     condition : float
         Condition number of the scaled normal equations in search coordinates.
-    message : str
-        What a person should know before using the numbers; empty when there is nothing.
+    cautions : tuple of Caution
+        What a person should know before using the numbers: see `analysis.identifiability`.
+    state : State
+        What the fit was made of, for intervals, replicas and comparisons.
     """
 
     model: Model
@@ -80,7 +111,18 @@ class FitResult:
     loss: str
     count: int
     condition: float
-    message: str
+    cautions: tuple[Caution, ...]
+    state: State = field(repr=False)
+
+    @property
+    def message(self) -> str:
+        """The cautions in one line; empty when there is nothing to say."""
+        return "; ".join(caution.text for caution in self.cautions)
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (P, P) of the parameters; NaN for what is not determined."""
+        return correlation_matrix(self.covariance)
 
 
 @dataclass(frozen=True)
@@ -131,7 +173,11 @@ def fit(
         If model or loss is unknown, or the samples cannot determine the model.
     """
     if name not in MODELS:
-        raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(MODELS)}")
+        raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(FITTED_MODELS)}")
+    if name not in FITTED_MODELS:
+        raise BadInput(
+            "it is evaluated here and not fitted", where=name, todo=f"choose from {', '.join(FITTED_MODELS)}"
+        )
     if channels is not None:
         samples = samples.isel(channel=list(channels))
     data = _prepare(samples)
@@ -245,14 +291,21 @@ def _result(
     model, values = _model(problem, solution), _natural(problem, solution)
     derivative = search_jacobian(problem, goal.weight(), solution.shapes, solution.kd, solution.ks)
     on_bound = _on_bound(problem, solution)
-    own = data.used * _own_uncertainty(data, goal, derivative)
+    lobe = about_the_lobe(problem, goal, solution)
+    undetermined = on_bound | np.array(
+        [any(c.kind is Kind.NARROW_LOBE and p.name in c.parameters for c in lobe) for p in problem.shapes],
+        dtype=bool,
+    )
+    scatter = 1.0 if data.stated else _scatter(data, goal, derivative)
+    own = data.used * _own_uncertainty(data, goal, scatter)
     shared = [*uncertainty.shared_in_f(data.samples), *poses] if data.stated else []
-    search, condition = _covariance(derivative, goal, own, shared, on_bound)
+    normal = _Normal(derivative, goal, undetermined)
+    search = normal.covariance(own, shared)
     to_natural = _to_natural(problem, solution, derivative)
     names = _names(problem)
     covariance = _transform(to_natural, search)
+    plain = np.square(scatter) * _transform(to_natural, normal.inverse())
     u_flat = np.sqrt(np.diag(covariance))
-    count = int(data.used.sum())
     metrics = goodness(
         derivative.f, data.f_r, data.used, wi=data.wi, wo=data.wo, uncertainty=u, parameters=len(names)
     )
@@ -269,25 +322,41 @@ def _result(
         derived=_derived(values, names, to_natural, search),
         metrics=metrics,
         loss=goal.name,
-        count=count,
-        condition=condition,
-        message="; ".join(
-            [
-                *_on_shapes(problem, values, u_values, on_bound),
-                *_on_the_lobe(problem, goal, solution),
-                *_on_misfit(metrics),
-            ]
+        count=int(data.used.sum()),
+        condition=normal.condition,
+        cautions=(
+            *_one_each(about_shapes(problem, values, u_values, on_bound), lobe),
+            *about_scales(names, search, covariance),
+            *about_misfit(metrics),
         ),
+        state=State(problem, goal, solution, scatter, _ratio(u_flat, np.sqrt(np.diag(plain)))),
     )
 
 
-def _own_uncertainty(data: _Data, goal: Loss, derivative: SearchJacobian) -> Array:
+def _one_each(shapes: list[Caution], lobe: list[Caution]) -> list[Caution]:
+    """Of two cautions about one parameter keep the one that says why: the bound, then the lobe."""
+    bound = {c.parameters for c in shapes if c.kind is Kind.AT_BOUND}
+    lobe = [c for c in lobe if c.parameters not in bound]
+    told = {c.parameters for c in lobe}
+    return [*(c for c in shapes if c.parameters not in told), *lobe]
+
+
+def _ratio(whole: Array, part: Array) -> Array:
+    known = np.isfinite(whole) & (part > 0.0)
+    return np.where(known, np.where(known, whole, 1.0) / np.where(known, part, 1.0), np.nan)
+
+
+def _scatter(data: _Data, goal: Loss, derivative: SearchJacobian) -> float:
+    """Return the standard deviation of the residuals."""
+    free = max(int(data.used.sum()) - derivative.columns.shape[-1], 1)
+    return float(np.sqrt(np.sum(np.square(goal.residual(derivative.f))) / free))
+
+
+def _own_uncertainty(data: _Data, goal: Loss, scatter: float) -> Array:
     """Independent uncertainty of the data (N, C): stated, or what the scatter of the residuals says it is."""
     if data.stated:
         return uncertainty.independent(data.samples)
-    residual, slope = goal.residual(derivative.f), goal.weight()
-    free = max(int(data.used.sum()) - derivative.columns.shape[-1], 1)
-    scatter = np.sqrt(np.sum(np.square(residual)) / free)
+    slope = goal.weight()
     return np.asarray(scatter / np.where(slope > 0.0, slope, np.inf))
 
 
@@ -297,32 +366,37 @@ def _on_bound(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
     return np.asarray((solution.shapes - low < near) | (high - solution.shapes < near))
 
 
-def _covariance(
-    derivative: SearchJacobian,
-    goal: Loss,
-    own: Array,
-    shared: list[uncertainty.SharedError],
-    on_bound: NDArray[np.bool_],
-) -> tuple[Array, float]:
-    """Sandwich covariance of the search coordinates (infinite: no information), and the condition."""
-    slope = goal.slope(derivative.f)[..., None]
-    columns = slope * derivative.columns
-    flat = columns.reshape(-1, columns.shape[-1])
-    length = np.sqrt(np.einsum("np,np->p", flat, flat))
-    free = length > 0.0
-    free[: len(on_bound)] &= ~on_bound
-    scaled = columns[..., free] / length[free]
-    normal = np.einsum("ncp,ncq->pq", scaled, scaled)
-    condition = float(np.linalg.cond(normal))
-    scores = scaled * goal.weight()[..., None]
-    filling = uncertainty.meat(scores, own, shared)
-    # Not the inverse: a direction without information must come out large, not fail.
-    inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
-    covariance = inverse @ filling @ inverse / np.outer(length[free], length[free])
-    full = np.zeros((len(length), len(length)))
-    full[np.ix_(free, free)] = covariance
-    full[~free, ~free] = np.inf
-    return full, condition
+class _Normal:
+    """The normal equations at the solution, in search coordinates scaled to columns of length 1."""
+
+    def __init__(self, derivative: SearchJacobian, goal: Loss, undetermined: NDArray[np.bool_]) -> None:
+        columns = goal.slope(derivative.f)[..., None] * derivative.columns
+        flat = columns.reshape(-1, columns.shape[-1])
+        length = np.sqrt(np.einsum("np,np->p", flat, flat))
+        self._free = length > 0.0
+        self._free[: len(undetermined)] &= ~undetermined
+        self._length = length[self._free]
+        scaled = columns[..., self._free] / self._length
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        normal = flat.T @ flat
+        self.condition = float(np.linalg.cond(normal))
+        # Not the inverse: a direction without information must come out large, not fail.
+        self._inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+        self._scores = scaled * goal.weight()[..., None]
+
+    def covariance(self, own: Array, shared: list[uncertainty.SharedError]) -> Array:
+        """Sandwich covariance; infinite where there is no information."""
+        return self._full(self._inverse @ uncertainty.meat(self._scores, own, shared) @ self._inverse)
+
+    def inverse(self) -> Array:
+        """Covariance for independent residuals of standard deviation 1."""
+        return self._full(self._inverse)
+
+    def _full(self, scaled: Array) -> Array:
+        full = np.zeros((len(self._free), len(self._free)))
+        full[np.ix_(self._free, self._free)] = scaled / np.outer(self._length, self._length)
+        full[~self._free, ~self._free] = np.inf
+        return full
 
 
 def _to_natural(problem: Problem, solution: Solution, derivative: SearchJacobian) -> Array:
@@ -357,60 +431,21 @@ def _transform(jacobian: Array, covariance: Array) -> Array:
 def _derived(
     values: dict[str, Array], names: tuple[tuple[str, int | None], ...], to_natural: Array, search: Array
 ) -> dict[str, tuple[Array, Array]]:
-    """Derive ks F0 for models with an index of refraction, with its uncertainty."""
-    if "ior" not in values:
+    """Derive ks F0 for models with a reflectance of facets, with its uncertainty."""
+    if "ior" in values:
+        name, reflectance = "ior", normal_reflectance(values["ior"])
+        slope = normal_reflectance_slope(values["ior"])
+    elif "f0" in values:
+        name, reflectance, slope = "f0", values["f0"], np.ones(())
+    else:
         return {}
-    reflectance, slope = normal_reflectance(values["ior"]), normal_reflectance_slope(values["ior"])
-    ior = names.index(("ior", None))
     rows = []
     for c, ks in enumerate(values["ks"]):
         # Along the search coordinates: ks and ior each vary widely, their product hardly.
         gradient = reflectance * to_natural[names.index(("ks", c))]
-        rows.append(gradient + ks * slope * to_natural[ior])
+        rows.append(gradient + ks * slope * to_natural[names.index((name, None))])
     gradients = np.array(rows)
     # An ior held on its bound is taken as it is: ks F0 hardly depends on it.
     known = np.where(np.isinf(search), 0.0, search)
     variance = np.einsum("cp,pq,cq->c", gradients, known, gradients)
     return {"ks_F0": (values["ks"] * reflectance, np.sqrt(np.maximum(variance, 0.0)))}
-
-
-def _on_shapes(
-    problem: Problem, values: dict[str, Array], u: dict[str, Array], on_bound: NDArray[np.bool_]
-) -> list[str]:
-    """Say which shapes the samples leave open."""
-    notes = []
-    for parameter, bound in zip(problem.shapes, on_bound, strict=True):
-        value, spread = float(values[parameter.name]), float(u[parameter.name])
-        only = ": of ior and ks only ks_F0 is meaningful" if parameter.name == "ior" else ""
-        if bound:
-            notes.append(f"{parameter.name} ended on the bound {value:.4g} and is not determined{only}")
-        elif not spread / abs(parameter.coordinate.slope(value)) < UNDETERMINED:
-            notes.append(f"{parameter.name} is not identifiable from these samples{only}")
-    return notes
-
-
-def _on_the_lobe(problem: Problem, goal: Loss, solution: Solution) -> list[str]:
-    """Say whether there is a lobe, and whether samples lie on enough of it.
-
-    A lobe narrower than the samples' grid is seen at its top alone. Its width then comes from nowhere, with a
-    small u. How many values the logarithmic slope d ln(lobe) / d shape takes on the lobe tells which it is.
-    """
-    if not problem.has_lobe:
-        return []
-    if not np.any(solution.ks > 0.0):
-        return ["the samples show no specular lobe"]
-    lobe, slopes = problem.lobe(solution.shapes)
-    on_lobe = np.any(goal.used & (solution.ks * lobe > solution.kd / np.pi), axis=1) & (lobe[:, 0] > 0.0)
-    levels = np.unique(np.round(slopes[0][on_lobe] / lobe[on_lobe], 1)).size
-    if levels >= FEWEST_LEVELS:
-        return []
-    name = problem.shapes[0].name
-    return [f"the samples lie on {levels} distinct points of the lobe: {name} is not to be trusted"]
-
-
-def _on_misfit(metrics: dict[str, float]) -> list[str]:
-    """Say whether the residuals are what the uncertainties promise."""
-    chi2 = metrics.get("chi2_dof", 0.0)
-    if not chi2 > MISFIT:
-        return []
-    return [f"residuals exceed the stated uncertainties {np.sqrt(chi2):.1f} times: u does not cover this"]
