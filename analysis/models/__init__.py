@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from analysis.models.abc import ABC
 from analysis.models.anisotropic import BeckmannAnisotropic, GGXAnisotropic
+from analysis.models.ashikhmin_shirley import AshikhminShirley
 from analysis.models.beckmann import Beckmann, BeckmannSeparable
 from analysis.models.blinn_phong import BlinnPhong
 from analysis.models.cook_torrance import CookTorrance, CookTorrance1982
@@ -12,6 +14,7 @@ from analysis.models.cook_torrance_facets import CookTorranceConductor, CookTorr
 from analysis.models.ggx import GGX, GGXConductor, GGXDielectric, GGXSeparable
 from analysis.models.lafortune import Lafortune, LafortuneRetro
 from analysis.models.lambert import Lambert
+from analysis.models.oren_nayar import Fujii, OrenNayar
 from analysis.models.phong import ModifiedPhong, Phong
 from analysis.models.torrance_sparrow import (
     TorranceSparrowCosine,
@@ -54,6 +57,10 @@ MODELS: dict[str, type[Model]] = {
         GGXRetro,
         BeckmannAnisotropic,
         GGXAnisotropic,
+        ABC,
+        OrenNayar,
+        Fujii,
+        AshikhminShirley,
     )
 }
 """Every model by name: `MODELS[name](**parameters).evaluate(wi, wo)`."""

@@ -183,6 +183,11 @@ class Geometry:
         return np.square(self.wo[..., 0:1]) + np.square(self.wo[..., 1:2])
 
     @cached_property
+    def tangential_dot(self) -> Array:
+        """sin(theta_i) sin(theta_o) cos(phi_i - phi_o): the dot product in the surface, shape (..., 1)."""
+        return np.asarray(np.sum(self.wi[..., :2] * self.wo[..., :2], axis=-1, keepdims=True))
+
+    @cached_property
     def sin2_d(self) -> Array:
         """Squared sine of the angle between E (or L) and H: a quarter of |L - E|^2, shape (..., 1)."""
         return np.asarray(0.25 * np.sum(np.square(self.wi - self.wo), axis=-1, keepdims=True))
@@ -408,3 +413,27 @@ class Model(ABC):
             for name, slope in term.slopes.items():
                 slopes[name] = slopes.get(name, full) + vars(self)[scale] * slope
         return {name: geometry.finish(slope) for name, slope in slopes.items()}
+
+
+class OwnDiffuse(Model):
+    """A model whose diffuse term is not Lambert's: it has `terms_at`, and no lobe over Lambert's term."""
+
+    LAMBERT_TERM: ClassVar[bool] = False
+
+    def lobe_at(self, geometry: Geometry) -> Lobe | None:  # noqa: ARG002 - the interface of all models
+        """Refuse, so that nobody takes the diffuse term for Lambert's.
+
+        Raises
+        ------
+        BadInput
+            Always.
+        """
+        raise BadInput(
+            "has a diffuse term of its own, which the fit does not know",
+            where=self.NAME,
+            todo="fit a model with Lambert's term",
+        )
+
+    @abstractmethod
+    def terms_at(self, geometry: Geometry) -> dict[str, Lobe]:
+        """Return the term of each linear scale at unit scale; see `Model.terms_at`."""

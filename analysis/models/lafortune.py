@@ -36,8 +36,7 @@ def _lobe(geometry: Geometry, sideways: float, ratio: ArrayLike, exponent: Array
     """(sideways (L_x E_x + L_y E_y) + ratio L_z E_z)^exponent, 0 where the base is not positive."""
     n = np.asarray(exponent)
     along = geometry.cos_i * geometry.cos_o
-    across = np.sum(geometry.wi[..., :2] * geometry.wo[..., :2], axis=-1, keepdims=True)
-    base = sideways * across + np.asarray(ratio) * along
+    base = sideways * geometry.tangential_dot + np.asarray(ratio) * along
     lit = base > 0.0
     safe = np.where(lit, base, 1.0)
     logarithm = np.log(safe)

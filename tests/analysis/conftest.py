@@ -85,26 +85,41 @@ def hard_pairs():
     return _hard_pairs()
 
 
+def _lies_on_an_axis(geometry, values):
+    """Return whether H's component along or across the axis is a difference of nearly equal numbers.
+
+    It then has no more digits than the directions' own length, which is 1 to 16 digits only.
+    """
+    c, s = mp.cos(values["axis_rad"]), mp.sin(values["axis_rad"])
+    x, y = geometry.half[:2]
+    sideways = max(mp.hypot(v[0], v[1]) for v in (geometry.light, geometry.eye))
+    return min(abs(c * x + s * y), abs(c * y - s * x)) * geometry.sum_length < 0.5 * sideways
+
+
 @pytest.fixture
 def agree_with_50_digits(hard_pairs):
-    """Return a function that compares a model, and its derivatives, with a formula over the whole box."""
+    """Return a function that compares a model, and its derivatives, with a formula over the whole box.
 
-    def check(name, formula, *, tolerance=1e-12, slope_tolerance=1e-10, skip=None):
+    To 1e-12, derivatives to 1e-10. Near the axes of an anisotropic surface the digits that cancel in H's
+    components are lost, times the ratio of the widths: there, and there alone, 1e-8 and 1e-6 have to do.
+    """
+
+    def check(name, formula, *, skip=None):
+        if MODELS[name].ISOTROPIC:
+            over_the_box(name, formula, tolerances=(1e-12, 1e-10), skip=skip)
+        else:
+            over_the_box(name, formula, tolerances=(1e-12, 1e-10), skip=_lies_on_an_axis)
+            over_the_box(name, formula, tolerances=(1e-8, 1e-6), skip=None)
+
+    def over_the_box(name, formula, **how):
         wi, wo = hard_pairs
         with mp.workdps(DIGITS):
-            geometries = [_exact_geometry(i, o) for i, o in zip(wi, wo, strict=True)]
+            where = (wi, wo, [_exact_geometry(i, o) for i, o in zip(wi, wo, strict=True)])
             for shape in _box(name):
-                scales = {p.name: 0.3 for p in MODELS[name].PARAMETERS if p.kind is not Kind.SHAPE}
+                scales = [p.name for p in MODELS[name].PARAMETERS if p.kind is not Kind.SHAPE]
                 for scale in scales:
-                    alone = {**dict.fromkeys(scales, 0.0), scale: 0.7}
-                    _compare(
-                        name,
-                        formula,
-                        {**alone, **shape},
-                        (wi, wo, geometries),
-                        tolerances=(tolerance, slope_tolerance),
-                        skip=skip,
-                    )
+                    values = {**dict.fromkeys(scales, 0.0), scale: 0.7, **shape}
+                    _compare(name, formula, values, where, **how)
 
     return check
 
