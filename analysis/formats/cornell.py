@@ -50,13 +50,13 @@ def read(path: Path) -> xr.Dataset:
         for line, text in enumerate(read_lines(path), start=1)
         for word in text.split("#", 1)[0].split()
     ]
-    count = int(words[0][0])
+    count = int(number(words[0][0], where=f"{path}: line {words[0][1]}")) if words else 0
     width = len(ANGLES) + count
     body = len(words) - 1 - count
     if not 1 <= count <= MOST_WAVELENGTHS or body < width:
         raise BadInput(
-            f"announces {count} wavelengths, but {len(words) - 1} numbers follow",
-            where=f"{path}: line {words[0][1]}",
+            f"announces {count} wavelengths, but {max(len(words) - 1, 0)} numbers follow",
+            where=f"{path}: line {words[0][1] if words else 1}",
             todo="copy the file again",
         )
     wavelengths = [number(word, where=f"{path}: line {line}") for word, line in words[1 : 1 + count]]

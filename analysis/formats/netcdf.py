@@ -46,7 +46,8 @@ def read(path: Path) -> xr.Dataset:
     import xarray as xr
 
     try:
-        with xr.open_dataset(path, engine="h5netcdf", phony_dims="access", cache=False) as opened:
+        store = xr.backends.H5NetCDFStore(_whole_file(path))
+        with xr.open_dataset(store, cache=False) as opened:
             _check(opened, path)
             stored = opened.load()
     except BadInput:
@@ -86,6 +87,17 @@ def write(samples: xr.Dataset, path: Path) -> None:
     )
     # Made in memory: where the disk is full, HDF5 cannot even close its file, and ends the process.
     path.write_bytes(content)
+
+
+def _whole_file(path: Path) -> Any:
+    """Open for reading; a file too damaged for it leaves nothing behind that complains when collected."""
+    import h5netcdf
+
+    class WholeFile(h5netcdf.File):  # type: ignore[misc] # the library is untyped
+        # The library's finaliser asks for it, also where its constructor gave up before setting it.
+        _writable = False
+
+    return WholeFile(path, "r", phony_dims="access")
 
 
 def _check(opened: xr.Dataset, path: Path) -> None:

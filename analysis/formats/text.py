@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 from rig.errors import BadInput
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LARGEST_TEXT_BYTES = 64 * 1024**2
+
+_LINE_END = re.compile(r"\r\n|\n|\r")
 
 
 def looks_like_text(head: bytes) -> bool:
@@ -35,9 +38,11 @@ def read_lines(path: Path) -> list[str]:
         )
     content = path.read_bytes()
     try:
-        return content.decode("utf-8-sig").splitlines()
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return content.decode("latin-1").splitlines()
+        text = content.decode("latin-1")
+    # Only what editors call a line end: `splitlines` also breaks at form feeds and Unicode separators.
+    return _LINE_END.split(text.removesuffix("\n").removesuffix("\r")) if text else []
 
 
 def number(text: str, *, where: str) -> float:
