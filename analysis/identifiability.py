@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 UNDETERMINED = 0.5
 """Relative standard uncertainty of a shape (of ior - 1) from which on the samples do not determine it."""
-ALIKE = 0.94
+ALIKE = 0.95
 """Correlation of kd and the specular part's size from which on they trade."""
 TRADE = 0.98
 """Correlation of ks and the facets' reflectance from which on only their product is known."""
