@@ -91,23 +91,6 @@ def test_pose_and_pictures(shared_twin: Twin, shared_rig: Rig) -> None:
     assert machine.stop_report.outcome is StopOutcome.CONFIRMED
 
 
-def test_overhead_of_a_move_and_a_shot(shared_rig: Rig) -> None:
-    """Catches sleeps: with motion and exposure of almost no length, what is left is ours."""
-    with open_machine(shared_rig, inspect=inspect_frame) as machine:
-        machine.move([0.3, 0.0, 0.7, 0.0], "white")
-        machine.shoot("warm", 0.001)
-        moves, shots = [], []
-        for index in range(8):
-            began = time.monotonic()
-            machine.move([0.3, 0.0, 0.7, 0.0], "white")
-            moved = time.monotonic()
-            machine.shoot(f"quick-{index}", 0.001)
-            moves.append(moved - began)
-            shots.append(time.monotonic() - moved)
-    assert sorted(moves)[2] < 0.15
-    assert sorted(shots)[2] < 0.3
-
-
 def test_an_exception_leaves_dark_and_still(shared_twin: Twin, shared_rig: Rig) -> None:
     """Catches an exit path that leaves the light on or the arms moving."""
 
