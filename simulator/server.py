@@ -6,6 +6,7 @@ Everything that a client waits for is answered here and at once; frames are rend
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import shutil
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.control_table import BAUD_CODES, MODELS
-from rig.errors import BadInput
+from rig.errors import BadInput, Refused
 from simulator.lamp import Exposure, Lamp
 from simulator.light_link import LightLink
 from simulator.light_process import LightSettings
@@ -56,7 +57,8 @@ def serve(settings: TwinSettings, announce: Announce) -> int:
     Raises
     ------
     GonioError
-        A rig file, material or folder that cannot be used; a light process that died.
+        A rig file, material or folder that cannot be used, or that another twin uses; a light process that
+        died.
     """
     if not 0.0 < settings.speed < float("inf"):
         raise BadInput(
@@ -85,10 +87,25 @@ def _folder(given: str | None) -> Iterator[Path]:
         except OSError as error:
             what = error.strerror or str(error)
             raise BadInput(what, where=str(folder), todo="choose a folder that you can write") from error
-        yield folder
+        with _alone_in(folder):
+            yield folder
     finally:
         if not given:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep a second twin from taking this one's ports over; a dead twin keeps nobody out."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        todo = "end that one, or choose another --folder"
+        raise Refused("another twin serves there", where=str(folder), todo=todo) from error
+    finally:
+        os.close(handle)
 
 
 class _Server:

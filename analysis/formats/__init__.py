@@ -64,6 +64,19 @@ def write(samples: xr.Dataset, path: Path) -> None:
     Refused
         If the disk is full; an earlier file stays.
     """
+    writer = require_writer(path)
+    with whole_file(path) as file:
+        writer.write(samples, file)
+
+
+def require_writer(path: Path) -> ModuleType:
+    """Give the format that writes a file of that name, before there is anything to write.
+
+    Raises
+    ------
+    BadInput
+        If no format is written under that suffix, or there is no such folder.
+    """
     writers = {module.SUFFIX: module for module in _modules() if hasattr(module, "SUFFIX")}
     if path.suffix.lower() not in writers:
         raise BadInput(
@@ -71,8 +84,9 @@ def write(samples: xr.Dataset, path: Path) -> None:
             where=str(path),
             todo=f"end the name in {', '.join(writers)}",
         )
-    with whole_file(path) as file:
-        writers[path.suffix.lower()].write(samples, file)
+    if not path.absolute().parent.is_dir():
+        raise BadInput("no such folder", where=str(path.parent), todo="make it, or choose another place")
+    return writers[path.suffix.lower()]
 
 
 def _recognise(path: Path) -> ModuleType:

@@ -17,6 +17,8 @@ from rig.errors import BadInput
 if TYPE_CHECKING:
     import argparse
 
+    from rig.description import Rig
+
 EXAMPLE = "gonio reduce sessions/blue-paint"
 
 DEFAULT_BIN_PX = 8
@@ -56,6 +58,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if not 0 < options.max_theta_deg < 90:
         raise BadInput(f"{options.max_theta_deg:g} is not between 0 and 90", where="--max-theta-deg")
+    from analysis.formats import require_writer
     from analysis.measurement import Options
     from analysis.reduce import reduce_session
     from analysis.samples import write
@@ -64,6 +67,8 @@ def run(options: argparse.Namespace) -> int:
     chosen = Options(bin_px=options.bin_px, max_theta_deg=options.max_theta_deg)
     out = Path(options.out) if options.out else Path(options.session) / "samples.nc"
     with Session.open(Path(options.session)) as session:
+        require_writer(out)  # before the work, not after it
+        _require_bins(options.bin_px, session.rig)
         progress = Progress("poses", len(session.poses("sample")))
         samples = reduce_session(session, options=chosen, progress=progress)
     write(samples, out)
@@ -92,3 +97,13 @@ def run(options: argparse.Namespace) -> int:
         listed = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in counts[group].items() if n)
         print(f"{title}: {listed or 'none'}")
     return 0
+
+
+def _require_bins(bin_px: int, rig: Rig) -> None:
+    most = min(rig.camera.width_px, rig.camera.height_px)
+    if bin_px > most:
+        raise BadInput(
+            f"bins of {bin_px} pixels do not fit into the frames",
+            where="--bin-px",
+            todo=f"give {most // 2 * 2} or less",
+        )

@@ -92,6 +92,8 @@ def test_unknown_suffix_is_not_written(tmp_path):
     samples = make_samples([[0, 0, 1.0]], [[0, 0, 1.0]], [1.0])
     with pytest.raises(BadInput, match=r"\.nc, \.csv"):
         write(samples, tmp_path / "samples.xlsx")
+    with pytest.raises(BadInput, match="no such folder"):
+        write(samples, tmp_path / "nowhere" / "samples.nc")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from gonio.commands import reduce
+from rig.errors import BadInput
+
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from rig.description import Rig
 
 
 def _gonio(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -37,6 +42,13 @@ def test_bad_input_is_one_line(tmp_path: Path, arguments: tuple[str, ...], named
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
     assert named in done.stderr
+
+
+def test_bins_fit_into_the_frames(default_rig: Rig) -> None:
+    """Catches bins larger than a frame, of which there are none to reduce."""
+    reduce._require_bins(96, default_rig)
+    with pytest.raises(BadInput, match=r"--bin-px.*give 96 or less"):
+        reduce._require_bins(98, default_rig)
 
 
 @pytest.mark.parametrize("command", ["reduce", "report", "demo"])

@@ -17,7 +17,7 @@ import pytest
 import serial
 from dynamixel_sdk import GroupSyncRead, PacketHandler, PortHandler
 
-from rig.errors import BadInput
+from rig.errors import BadInput, Refused
 from simulator.truth import residual_ticks, station_at, true_angles_rad
 
 if TYPE_CHECKING:
@@ -255,6 +255,21 @@ def test_it_ends_with_whoever_started_it() -> None:
     while is_running(int(pid)) or Path(folder).exists():
         assert time.monotonic() < deadline, "the twin is still there"
         time.sleep(0.02)
+
+
+def test_a_folder_serves_one_twin(tmp_path: Path) -> None:
+    """Catches a second twin that takes the ports of the first, and a dead one that keeps its folder."""
+    from simulator.twin import Twin
+
+    with Twin(folder=tmp_path, log=False) as first:
+        ports = [Path(port).resolve() for port in (first.servos, first.lamp)]
+        with pytest.raises(Refused, match="another twin serves there"), Twin(folder=tmp_path):
+            pass
+        assert [Path(port).resolve() for port in (first.servos, first.lamp)] == ports
+        os.kill(first.pid, signal.SIGKILL)
+        first.close()
+    with Twin(folder=tmp_path, log=False) as second:
+        assert Path(second.servos).exists()
 
 
 def test_a_given_folder_stays_and_holds_what_a_session_needs(tmp_path: Path) -> None:
