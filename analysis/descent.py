@@ -92,8 +92,8 @@ def descend(
         `Equations`.
     start : ndarray, shape (M, P)
         Where to begin; brought within the bounds.
-    bounds : tuple of ndarray, shape (P,)
-        Lowest and highest values.
+    bounds : tuple of ndarray, shape (P,) or (M, P)
+        Lowest and highest values; where they are equal the parameter stays.
     tolerance : float
         A search ends when a step promises to lower the cost by less than this share of it.
     most : int
@@ -103,7 +103,8 @@ def descend(
     -------
     Minima
     """
-    x = np.clip(start, *bounds)
+    low, high = (np.broadcast_to(side, start.shape) for side in bounds)
+    x = np.clip(start, low, high)
     cost, normal, gradient = linearise(x, np.arange(len(x)))
     damping, growth = np.full(len(x), FIRST_DAMPING), np.full(len(x), 2.0)
     scale = _diagonal(normal).copy()
@@ -112,7 +113,8 @@ def descend(
     for _ in range(most):
         size = np.where(scale[going] > 0.0, scale[going], 1.0)
         matrix = _curvature(normal[going], extra[going])
-        step = _steps(x[going], matrix, gradient[going], damping=damping[going, None] * size, bounds=bounds)
+        box = low[going], high[going]
+        step = _steps(x[going], matrix, gradient[going], damping=damping[going, None] * size, bounds=box)
         curvature = _form(matrix, step)
         promised = -(np.einsum("mp,mp->m", gradient[going], step) + 0.5 * curvature)
         worth = (promised > tolerance * cost[going]) & (damping[going] <= LARGEST_DAMPING)
@@ -178,7 +180,7 @@ def _steps(x: Array, normal: Array, gradient: Array, *, damping: Array, bounds: 
     """Damped steps of the free parameters; those that meet a bound stop there, and the others step anew."""
     low, high = bounds
     step = np.zeros_like(x)
-    held = ((x <= low) & (gradient > 0.0)) | ((x >= high) & (gradient < 0.0))
+    held = (low == high) | ((x <= low) & (gradient > 0.0)) | ((x >= high) & (gradient < 0.0))
     unit = np.eye(x.shape[1])
     damped = normal + damping[:, :, None] * unit
     # To a diagonal of ones: the columns may differ in size by any factor. Rounding leaves a curvature of

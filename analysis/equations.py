@@ -175,13 +175,21 @@ class Linearised:
     problem : Problem
         Directions and model; S shapes, C channels.
     loss : Loss
-        With channels first (`Loss.by_channel`). Its arrays may have a leading axis, one entry for each
-        member of a family of problems that share the directions.
+        With channels first (`Loss.by_channel`).
+    fixed_size : ndarray, shape (C,), optional
+        Take s = ks times this, in place of |w lobe|: so that a search can hold ks itself.
+    counts : ndarray, shape (R, N), optional
+        How often each sample counts, one row for each of R replicas of the problem; the numbers of members
+        are then those of replicas.
     """
 
-    def __init__(self, problem: Problem, loss: Loss) -> None:
+    def __init__(
+        self, problem: Problem, loss: Loss, *, fixed_size: Array | None = None, counts: Array | None = None
+    ) -> None:
         self.problem = problem
         self.loss = loss
+        self._fixed_size = fixed_size
+        self._root = None if counts is None else np.sqrt(counts)
         self._squared = np.square(loss.weight())
         self._diffuse = np.where(problem.geometry.visible, 1.0 / np.pi, 0.0)
 
@@ -191,6 +199,8 @@ class Linearised:
 
     def size(self, lobe: Array) -> Array:
         """Return |w lobe| by channel, shape (M, C), for lobes (M, N); 1 where it is 0."""
+        if self._fixed_size is not None:
+            return np.broadcast_to(self._fixed_size, (len(lobe), len(self._fixed_size)))
         square = np.square(lobe) @ self._squared.T
         return np.sqrt(np.where(square > 0.0, square, 1.0))
 
@@ -228,11 +238,13 @@ class Linearised:
 
     def all_parameters(self, x: Array, members: Members) -> Equations:
         """Equations of all search coordinates (shapes, kd by channel, s by channel)."""
-        del members
         shapes, kd, s = self.unpack(x)
         lobe, slopes = self.problem.lobes(shapes)
         size = self.size(lobe)
-        relative = np.matmul(lobe * slopes, self._squared.T) / np.square(size)
+        if self._fixed_size is None:
+            relative = np.matmul(lobe * slopes, self._squared.T) / np.square(size)
+        else:
+            relative = np.zeros((len(slopes), *size.shape))
         # What is common to the channels is taken out of the slopes themselves, where it cancels best.
         common = np.mean(relative, axis=-1)
         slopes = slopes - lobe * common[..., None]
@@ -240,6 +252,9 @@ class Linearised:
         ks = s / size
         f = self.values(lobe, kd, ks)
         residual, slope = self.loss.residual(f), self.loss.slope(f)
+        if self._root is not None:
+            root = self._root[members][:, None, :]
+            residual, slope = root * residual, root * slope
         basis = self._basis(lobe, slopes)
         gram, pull = _gram(basis, np.square(slope)), _against(slope * residual, basis)
         mix = _mix(relative, ks, size)

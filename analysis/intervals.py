@@ -1,0 +1,133 @@
+"""Profile-likelihood intervals: how far a parameter can go while all others make the best of it.
+
+Where a loss is curved the interval of value plus or minus two standard uncertainties is not one of 95 %. The
+profile is: with one parameter held, the others are fitted anew, and the interval ends where the cost has
+risen by what the level allows (Venzon & Moolgavkar 1988). Errors that samples share, and residuals that are
+not of one size, enter through the ratio of the fit's standard uncertainty to that of plain least squares
+(Kent 1982): the cost may rise by its square times as much.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.descent import descend
+from analysis.equations import Linearised
+
+if TYPE_CHECKING:
+    from analysis.fit import FitResult
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+ROUNDS = 6
+"""Trials of each end: the profile is nearly a parabola, and each trial is a secant's step."""
+CLOSE = 1e-3
+"""Distance of an end from its level, in standard uncertainties, at which it is found."""
+TOLERANCE, MOST_STEPS = 1e-9, 100
+WIDEST = 20.0
+"""An end further off than this, in standard uncertainties, is not there."""
+
+
+def profile_intervals(result: FitResult, level: float = LEVEL) -> dict[str, Array]:
+    """Find an interval for each parameter of a fit.
+
+    Parameters
+    ----------
+    result : FitResult
+        Of `analysis.fit.fit`.
+    level : float
+        Probability that the interval holds the truth, if the model does.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (2,) or (C, 2)
+        Low and high end by parameter. An end that is a bound is given as the bound; the interval of a
+        parameter that the samples do not determine goes from bound to bound.
+    """
+    from scipy.stats import norm
+
+    return _Profile(result).intervals(float(norm.ppf(0.5 + 0.5 * level)))
+
+
+class _Profile:
+    """A fit whose coordinates are the shapes', kd and ks, so that each can be held."""
+
+    def __init__(self, result: FitResult) -> None:
+        state = result.state
+        self._result, self._problem = result, state.problem
+        loss = state.loss.by_channel()
+        size = Linearised(state.problem, loss).size(state.problem.lobes(state.solution.shapes[None])[0])[0]
+        self._equations = Linearised(state.problem, loss, fixed_size=size)
+        low, high = state.problem.bounds()
+        scales = 2 * state.problem.channels
+        self._low = np.concatenate([low, np.zeros(scales)])
+        self._high = np.concatenate([high, np.full(scales, np.inf)])
+        self._best = np.concatenate([state.solution.shapes, state.solution.kd, size * state.solution.ks])
+        # Coordinates per natural unit.
+        steps = [1.0 / p.coordinate.slope(float(result.parameters[p.name])) for p in state.problem.shapes]
+        units = np.concatenate([steps, np.ones(state.problem.channels), size])
+        u = np.sqrt(np.diag(result.covariance))
+        self._u = np.full(len(self._best), np.inf)
+        self._u[: len(u)] = u
+        self._u *= units
+        inflation = np.full(len(self._best), np.nan)
+        inflation[: len(u)] = state.inflation
+        self._per_unit = state.scatter * inflation
+
+    def intervals(self, quantile: float) -> dict[str, Array]:
+        held = np.flatnonzero(np.isfinite(self._u) & (self._u > 0.0) & np.isfinite(self._per_unit))
+        ends = np.stack([self._low, self._high], axis=1)
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            ends[held, side] = self._ends(held, sign, quantile)
+        return self._named(ends)
+
+    def _ends(self, held: NDArray[np.intp], sign: float, quantile: float) -> Array:
+        """Find where the signed root of the rise of the cost is the quantile, by secants from the centre."""
+        x = np.tile(self._best, (len(held), 1))
+        rows = np.arange(len(held))
+        centre, u, unit = self._best[held], self._u[held], self._per_unit[held]
+        limit = (self._low if sign < 0.0 else self._high)[held]
+        away = np.full(len(held), quantile)
+        inner, inner_root = np.zeros(len(held)), np.zeros(len(held))
+        base = self._cost(x[:1])[0]
+        for _ in range(ROUNDS):
+            target = np.clip(centre + sign * away * u, self._low[held], self._high[held])
+            x[rows, held] = target
+            low, high = np.tile(self._low, (len(held), 1)), np.tile(self._high, (len(held), 1))
+            low[rows, held] = high[rows, held] = target
+            found = descend(
+                self._equations.all_parameters, x, (low, high), tolerance=TOLERANCE, most=MOST_STEPS
+            )
+            x = found.x
+            root = np.sqrt(2.0 * np.maximum(found.cost - base, 0.0)) / unit
+            done = (np.abs(root - quantile) < CLOSE) | ((target == limit) & (root < quantile))
+            if done.all():
+                break
+            reached = np.abs(target - centre) / u
+            slope = (root - inner_root) / np.where(reached != inner, reached - inner, 1.0)
+            step = (quantile - root) / np.where(slope > 0.0, slope, 1.0)
+            inner, inner_root = np.where(done, inner, reached), np.where(done, inner_root, root)
+            away = np.where(done, away, np.clip(reached + step, 0.05 * quantile, WIDEST))
+        end = centre + sign * away * u
+        end = np.where(away >= WIDEST, limit, end)
+        return np.clip(end, self._low[held], self._high[held])
+
+    def _cost(self, x: Array) -> Array:
+        return self._equations.all_parameters(x, np.arange(len(x))).cost
+
+    def _named(self, ends: Array) -> dict[str, Array]:
+        """Turn ends in coordinates (P, 2) into natural values by parameter."""
+        shapes, channels = len(self._problem.shapes), self._problem.channels
+        named: dict[str, Array] = {}
+        for i, parameter in enumerate(self._problem.shapes):
+            values = [parameter.coordinate.inverse(float(end)) for end in ends[i]]
+            named[parameter.name] = np.clip(values, *parameter.bounds)
+        named["kd"] = ends[shapes : shapes + channels]
+        if self._problem.has_lobe:
+            size = self._equations.size(np.zeros((1, 1)))[0]
+            named["ks"] = ends[shapes + channels :] / size[:, None]
+        return {name: named[name] for name in self._result.parameters}
