@@ -64,6 +64,7 @@ class AshikhminShirley(OwnDiffuse):
     NAME: ClassVar[str] = "ashikhmin-shirley"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, EXPONENT_X, EXPONENT_Y, AXIS, F0)
     ISOTROPIC: ClassVar[bool] = False
+    CONSERVES: ClassVar[bool] = True
 
     def terms_at(self, geometry: Geometry) -> dict[str, Lobe]:
         """Return both terms and their derivatives by exponents, axis and f0."""

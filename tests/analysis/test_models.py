@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -326,3 +328,11 @@ def test_parameters_describe_themselves(name):
         assert all(low <= start <= high for start in parameter.scan)
         assert (parameter.kind is Kind.SHAPE) == bool(parameter.scan)
         assert hasattr(MODELS[name](), parameter.name)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_page_of_models_has_it(name):
+    """Catches a model that nobody can read about: `python -m benchmarks.models docs` writes the page."""
+    docs = Path(__file__).parents[2] / "docs"
+    assert f"\n### {name}\n" in (docs / "models.md").read_text("utf-8")
+    assert (docs / "models" / f"{name}.png").is_file()
