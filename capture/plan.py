@@ -251,10 +251,7 @@ def plan_from(content: dict[str, Any], where: str) -> Plan:
     try:
         return Plan.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        found = explain(error, content, Plan, where)
-        # What is allowed inside a pose generator is in the message itself; its field is not looked up.
-        todo = "correct it" if found.todo.startswith(("allowed:  ", "allowed: (")) else found.todo
-        raise BadInput(found.what, where=where, todo=todo) from None
+        raise explain(error, content, Plan, where) from None
 
 
 def dump_plan(plan: Plan, path: str | Path) -> None:

@@ -77,20 +77,21 @@ def explain(error: ValidationError, content: dict[str, Any], model: type[BaseMod
 
 
 def _describe(finding: ErrorDetails, content: dict[str, Any], model: type[BaseModel]) -> tuple[str, str]:
-    location = tuple(finding["loc"])
+    location, _ = _walk(finding["loc"], model)
     field = _dotted(location)
     if finding["type"] == _CROSS_FIELD:
         context = finding["ctx"]
         return f"{context['field']} = {context['value']} does not fit", f"allowed: {context['allowed']}"
     if finding["type"] == "extra_forbidden":
-        known = list(_model_at(location[:-1], model).model_fields)
+        known = list(_walk(finding["loc"][:-1], model)[1].model_fields)
         return f"unknown field {field}", f"use a known name{nearest(str(location[-1]), known)}"
-    allowed = _description(location, model)
+    allowed = _description(finding["loc"], model)
     if finding["type"] == "missing":
-        return f"{field} is missing", f"add it: {allowed}"
+        return f"{field} is missing", f"add it: {allowed}" if allowed else "add it"
+    todo = f"allowed: {allowed}" if allowed else "correct it"
     if finding["type"] in {"too_short", "too_long"} or not _has(content, location):
-        return f"{field}: {_lower(finding['msg'])}", f"allowed: {allowed}"
-    return f"{field} = {_show(_value(content, location))}: {_lower(finding['msg'])}", f"allowed: {allowed}"
+        return f"{field}: {_lower(finding['msg'])}", todo
+    return f"{field} = {_show(_value(content, location))}: {_lower(finding['msg'])}", todo
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
@@ -105,21 +106,42 @@ def _dotted(location: tuple[int | str, ...]) -> str:
     return text.removeprefix(".")
 
 
-def _model_at(location: tuple[int | str, ...], model: type[BaseModel]) -> type[BaseModel]:
-    """Follow a location through the models to the one that holds its last step."""
+def _walk(
+    location: tuple[int | str, ...], model: type[BaseModel]
+) -> tuple[tuple[int | str, ...], type[BaseModel]]:
+    """Follow a location through the models: the way as the file has it, and the model at its last step.
+
+    Where a field may hold one of several models, pydantic adds the tag of the one it took.
+    """
+    path: list[int | str] = []
+    choices: list[type[BaseModel]] = []
     for step in location:
+        tagged = [choice for choice in choices if _has_tag(choice, step)]
+        if tagged:
+            model, choices = tagged[0], []
+            continue
+        path.append(step)
         if isinstance(step, str) and step in model.model_fields:
-            inner = model.model_fields[step].annotation
-            candidates = [inner, *get_args(inner)]
-            model = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), model)
-    return model
+            choices = _models_in(model.model_fields[step].annotation)
+            model = choices[0] if choices else model
+    return tuple(path), model
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and not get_args(annotation):
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    return [model for inner in get_args(annotation) for model in _models_in(inner)]
+
+
+def _has_tag(model: type[BaseModel], tag: int | str) -> bool:
+    return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())
 
 
 def _description(location: tuple[int | str, ...], model: type[BaseModel]) -> str:
     """Find what the innermost documented field on the way says of itself."""
     text = ""
     for depth, step in enumerate(location):
-        fields = _model_at(location[:depth], model).model_fields
+        fields = _walk(location[:depth], model)[1].model_fields
         if isinstance(step, str) and step in fields:
             text = fields[step].description or text
     return text

@@ -61,7 +61,14 @@ def test_the_hash_is_blind_to_layout_only(tmp_path: Path) -> None:
     [
         ({"plan": {"name": "x", "sampel": "s"}}, "sampel"),
         ({"poses": [{"kind": "gird"}]}, "gird"),
-        ({"poses": [{"kind": "sweep", "theta_i_deg": [95], "theta_o_deg": [0]}]}, "theta_i_deg"),
+        (
+            {"poses": [{"kind": "sweep", "theta_i_deg": [95], "theta_o_deg": [0]}]},
+            "poses[0].theta_i_deg[0] = 95: input should be less than or equal to 90; allowed: ",
+        ),
+        (
+            {"poses": [{"kind": "grid", "theta_i_deg": [9], "theta_o_deg": [0], "phi": [0]}]},
+            "unknown field poses[0].phi; use a known name, did you mean phi_deg?",
+        ),
         ({"poses": [{"kind": "list", "directions_deg": [[1, 2, float("nan"), 3]]}]}, "finite"),
         ({"poses": []}, "poses"),
         ({"darks": {"count": -1}}, "count"),
