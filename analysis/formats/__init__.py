@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
-NAMES = ("netcdf", "rt300s", "npz", "csv", "cornell")
+NAMES = ("netcdf", "rt300s", "npz", "csv", "fred", "zemax", "cornell")
 HEAD_BYTES = 65536
 LARGEST_BYTES = 4 * 1024**3
 SESSION_FILE = "samples.nc"
@@ -78,7 +78,9 @@ def require_writer(path: Path) -> ModuleType:
         If no format is written under that suffix, or there is no such folder.
     """
     writers = {module.SUFFIX: module for module in _modules() if hasattr(module, "SUFFIX")}
-    if path.suffix.lower() not in writers:
+    # The longest end counts: two formats share `.bsdf`, and one of them wants a word before it.
+    suffix = max((end for end in writers if path.name.lower().endswith(end)), key=len, default="")
+    if not suffix:
         raise BadInput(
             f"no format is written as '{path.suffix}'",
             where=str(path),
@@ -86,7 +88,7 @@ def require_writer(path: Path) -> ModuleType:
         )
     if not path.absolute().parent.is_dir():
         raise BadInput("no such folder", where=str(path.parent), todo="make it, or choose another place")
-    return writers[path.suffix.lower()]
+    return writers[suffix]
 
 
 def _recognise(path: Path) -> ModuleType:

@@ -1,0 +1,116 @@
+"""FRED's tabulated scatter: text, one block of rows for each incidence.
+
+    type bsdf_data
+    format angles=deg bsdf=value scale=1
+    10	0                   theta_i phi_i
+    0	0	0.031984            theta_s phi_s f
+    5	0	0.034271
+
+Azimuths of light and scatter are such that phi_s = phi_i is the mirror direction's side: the light itself
+stands at phi_i + 180. At theta_s = 0 one row is enough, whatever phi_s. Values are f_r, without a cosine.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.samples import make_samples
+from rig.angles import spherical_to_direction
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+NAME = "FRED text"
+OPTIONS: tuple[str, ...] = ()
+COLUMNS = ("theta_s", "phi_s", "f")
+INCIDENCE = ("theta_i", "phi_i")
+_START = re.compile(rb"\A(?:\xef\xbb\xbf)?type[ \t]+bsdf_data\b", re.IGNORECASE)
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the file says that it is FRED's."""
+    return looks_like_text(head) and _START.match(head) is not None
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read samples of reflection.
+
+    Raises
+    ------
+    BadInput
+        If the header asks for what is not read, or a row is malformed; names line and column.
+    """
+    lines = read_lines(path)
+    to_radians, scale = _header(lines[1] if len(lines) > 1 else "", f"{path}: line 2")
+    incidence: list[float] | None = None
+    rows = []
+    for line, text in enumerate(lines[2:], start=3):
+        words = text.split()
+        if not words:
+            continue
+        names = INCIDENCE if len(words) == len(INCIDENCE) else COLUMNS
+        if len(words) != len(names):
+            raise BadInput(
+                f"has {len(words)} numbers, not 2 (incidence) or 3 (scatter)",
+                where=f"{path}: line {line}",
+                todo="correct or remove the line",
+            )
+        values = [
+            number(word, where=f"{path}: line {line}, column {name}")
+            for name, word in zip(names, words, strict=True)
+        ]
+        polar = values[0] * to_radians
+        if not 0.0 <= polar <= np.pi / 2 + 1e-9:
+            raise BadInput(
+                f"{words[0]} is no polar angle of reflection",
+                where=f"{path}: line {line}, column {names[0]}",
+                todo="only the half space of reflection, 0 to 90 deg, is read",
+            )
+        if names is INCIDENCE:
+            incidence = values
+        elif incidence is None:
+            raise BadInput(
+                "scatter without an incidence before it",
+                where=f"{path}: line {line}",
+                todo="write theta_i and phi_i on a line of their own first",
+            )
+        else:
+            rows.append([*incidence, *values])
+    if not rows:
+        raise BadInput("holds no samples", where=f"{path}: line {len(lines)}", todo="copy the file again")
+    theta_i, phi_i, theta_s, phi_s, value = np.array(rows).T
+    return make_samples(
+        spherical_to_direction(theta_i * to_radians, phi_i * to_radians + np.pi),
+        spherical_to_direction(theta_s * to_radians, phi_s * to_radians),
+        value * scale,
+        channels=["BRDF"],
+        source=path.name,
+    )
+
+
+def _header(text: str, where: str) -> tuple[float, float]:
+    """Return the angles' unit in radians and the scale of the values."""
+    words = text.split()
+    entries = dict(word.split("=", 1) for word in words[1:] if "=" in word)
+    if not words or words[0].lower() != "format" or not {"angles", "bsdf"} <= set(entries):
+        raise BadInput(
+            "is not the line that states the format", where=where, todo="format angles=deg bsdf=value scale=1"
+        )
+    units = {"deg": float(np.pi / 180.0), "rad": 1.0}
+    if entries["angles"] not in units or entries["bsdf"] != "value":
+        raise BadInput(
+            f"angles={entries['angles'][:20]} bsdf={entries['bsdf'][:20]} is not read",
+            where=where,
+            todo="export angles=deg bsdf=value",
+        )
+    scale = number(entries.get("scale", "1"), where=f"{where}, scale")
+    if scale <= 0.0:
+        raise BadInput(f"a scale of {scale:g}", where=where, todo="write a positive scale")
+    return units[entries["angles"]], scale
