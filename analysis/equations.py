@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e100
+"""Lobes and slopes are cut here: beyond all that a search returns to, and their products are still finite."""
 DEGENERATE = 1e-12
 """Squared sine between the two scaled columns below which they count as one."""
 
@@ -90,8 +92,11 @@ class Problem:
         slopes = np.empty((len(self.shapes), *full))
         for i, parameter in enumerate(self.shapes):
             per = np.array([parameter.coordinate.slope(value) for value in values[parameter.name]])
-            slopes[i] = np.where(visible, (lobe.slopes[parameter.name] * per).T, 0.0)
-        return np.where(visible, np.broadcast_to(lobe.value.T, full), 0.0), slopes
+            with np.errstate(over="ignore"):
+                slope = lobe.slopes[parameter.name] * per
+            slopes[i] = np.where(visible, np.clip(slope, -LARGEST, LARGEST).T, 0.0)
+        value = np.minimum(lobe.value, LARGEST)
+        return np.where(visible, np.broadcast_to(value.T, full), 0.0), slopes
 
     def lobe(self, coordinates: Array) -> tuple[Array, list[Array]]:
         """Return the lobe (N, 1) at unit scale and its derivatives, for one set of shapes (S,)."""

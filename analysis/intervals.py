@@ -32,7 +32,7 @@ WIDEST = 20.0
 """An end further off than this, in standard uncertainties, is not there."""
 
 
-def profile_intervals(result: FitResult, level: float = LEVEL) -> dict[str, Array]:
+def profile_intervals(result: FitResult, level: float = LEVEL, *, scales: bool = True) -> dict[str, Array]:
     """Find an interval for each parameter of a fit.
 
     Parameters
@@ -41,6 +41,8 @@ def profile_intervals(result: FitResult, level: float = LEVEL) -> dict[str, Arra
         Of `analysis.fit.fit`.
     level : float
         Probability that the interval holds the truth, if the model does.
+    scales : bool
+        Whether kd and ks have theirs too: with dozens of channels they take minutes.
 
     Returns
     -------
@@ -50,7 +52,8 @@ def profile_intervals(result: FitResult, level: float = LEVEL) -> dict[str, Arra
     """
     from scipy.stats import norm
 
-    return _Profile(result).intervals(float(norm.ppf(0.5 + 0.5 * level)))
+    found = _Profile(result).intervals(float(norm.ppf(0.5 + 0.5 * level)), scales=scales)
+    return {name: ends for name, ends in found.items() if scales or name not in {"kd", "ks"}}
 
 
 class _Profile:
@@ -78,15 +81,19 @@ class _Profile:
         inflation[: len(u)] = state.inflation
         self._per_unit = state.scatter * inflation
 
-    def intervals(self, quantile: float) -> dict[str, Array]:
-        held = np.flatnonzero(np.isfinite(self._u) & (self._u > 0.0) & np.isfinite(self._per_unit))
+    def intervals(self, quantile: float, *, scales: bool) -> dict[str, Array]:
+        """Both ends of all coordinates, or of the shapes alone, as natural values."""
+        known = np.isfinite(self._u) & (self._u > 0.0) & np.isfinite(self._per_unit)
+        if not scales:
+            known[len(self._problem.shapes) :] = False
+        held = np.flatnonzero(known)
         ends = np.stack([self._low, self._high], axis=1)
-        for side, sign in ((0, -1.0), (1, 1.0)):
+        for side, sign in ((0, -1.0), (1, 1.0)) if held.size else ():
             ends[held, side] = self._ends(held, sign, quantile)
         return self._named(ends)
 
     def _ends(self, held: NDArray[np.intp], sign: float, quantile: float) -> Array:
-        """Find where the signed root of the rise of the cost is the quantile, by secants from the centre."""
+        """Find where the root of the rise of the cost is the quantile, by secants from the centre."""
         x = np.tile(self._best, (len(held), 1))
         rows = np.arange(len(held))
         centre, u, unit = self._best[held], self._u[held], self._per_unit[held]

@@ -1,9 +1,10 @@
 """Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, goodness of fit.
 
 FILE is a session's folder, a gonio NetCDF or CSV table, a Cornell .brdf, an RT-300S .xls or an .npz of wi,
-wo, f_r; its content tells. Without --model the six usual models are fitted, with --all every model, and
-ranked by rms_log. Without --wavelength-nm all channels of a file share the shape parameters; kd and ks are
-each channel's own.
+wo, f_r; its content tells. Without --model the six usual models are fitted, with --all every model. They are
+ranked by cross-validation: the residual, in the loss's own measure, at incidences that were left out of the
+fit; where there is one incidence, by BIC. With --compare several files are set side by side. Without
+--wavelength-nm all channels of a file share the shape parameters; kd and ks are each channel's own.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from analysis.comparison import Candidate
     from analysis.fit import FitResult
 
 EXAMPLE = "gonio fit ../shared/data/cornell/garnet_red.brdf --wavelength-nm 550 --model cook-torrance"
@@ -31,6 +33,8 @@ METRICS = {
     "chi2_dof": "chi2/dof",
 }
 MOST_CHANNELS_SHOWN = 4
+DIFFERENT = 3.0
+"""Difference of two files over its standard uncertainty that is marked."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-theta-deg", type=float, metavar="T", help="leave out samples beyond this angle"
     )
+    parser.add_argument("--compare", action="store_true", help="set each parameter of all files side by side")
     add_json_option(parser)
 
 
@@ -75,7 +80,10 @@ def run(options: argparse.Namespace) -> int:
     usual = FITTED_MODELS if options.all else DEFAULT_MODELS
     names = list(dict.fromkeys(options.model or usual))
     _check_names(names, list(MODELS))
+    if options.compare and len(options.files) < 2:
+        raise BadInput("there is one file", where="--compare", todo="name the files to compare")
     progress = Progress("fits", len(options.files) * len(names))
+    ranked: dict[str, list[Candidate]] = {}
     entries = []
     for file in options.files:
         samples = select(
@@ -84,13 +92,17 @@ def run(options: argparse.Namespace) -> int:
             max_theta_deg=options.max_theta_deg,
             where=file,
         )
-        results = _fit_all(file, samples, names, options.loss, progress)
+        ranked[file] = _compared(file, samples, names, options.loss, progress)
+        channels = [str(channel) for channel in samples["channel"].to_numpy()]
         if options.json:
-            entries += [_entry(file, samples, result) for result in results]
-        else:
-            print(_page(file, samples, results))
+            entries += [_entry(file, channels, candidate) for candidate in ranked[file]]
+        elif not options.compare:
+            print(_page(file, channels, ranked[file]))
+    rows = _side_by_side(ranked) if options.compare else []
     if options.json:
-        print_json({"fits": entries})
+        print_json({"fits": entries, **({"comparison": rows} if options.compare else {})})
+    elif options.compare:
+        print(_comparison(list(ranked), rows))
     return 0
 
 
@@ -106,52 +118,121 @@ def _check_names(names: Sequence[str], known: Sequence[str]) -> None:
             raise BadInput(f"unknown model '{name}'", where="--model", todo=todo)
 
 
-def _fit_all(
+def _compared(
     file: str, samples: xr.Dataset, names: Sequence[str], loss: str | None, progress: Progress
-) -> list[FitResult]:
-    """Fit each model; best first."""
-    from analysis.fit import fit
+) -> list[Candidate]:
+    """Fit and judge each model; best first."""
+    from analysis.comparison import compare
 
-    results = []
-    for name in names:
-        try:
-            results.append(fit(samples, name, loss=loss))
-        except BadInput as error:
-            raise BadInput(str(error), where=file) from None
-        progress(note=name)
-    return sorted(results, key=lambda result: result.metrics["rms_log"])
+    try:
+        return compare(samples, names, loss=loss, told=lambda name: progress(note=name))
+    except BadInput as error:
+        raise BadInput(str(error), where=file) from None
 
 
-def _entry(file: str, samples: xr.Dataset, result: FitResult) -> dict[str, Any]:
+def _entry(file: str, channels: Sequence[str], candidate: Candidate) -> dict[str, Any]:
     """Describe one fit for scripts; a parameter that channels do not share is a list by channel."""
+    from analysis.intervals import profile_intervals
+
+    result = candidate.result
+    intervals = profile_intervals(result, scales=len(channels) <= MOST_CHANNELS_SHOWN)
     return {
         "file": file,
         "model": result.model.NAME,
         "loss": result.loss,
-        "channels": [str(channel) for channel in samples["channel"].to_numpy()],
+        "channels": list(channels),
         "count": result.count,
         "parameters": {
-            name: {"value": value, "u": result.u[name]} for name, value in result.parameters.items()
+            name: {"value": value, "u": result.u[name], "interval_95": intervals.get(name)}
+            for name, value in result.parameters.items()
         },
         "derived": {name: {"value": value, "u": u} for name, (value, u) in result.derived.items()},
         "metrics": result.metrics,
+        "cross_validation": candidate.cross_validation,
+        "bic": candidate.bic,
         "condition": result.condition,
+        "correlation": {
+            "of": [name if c is None else f"{name} {channels[c]}" for name, c in result.names],
+            "matrix": result.correlation,
+        },
+        "cautions": [
+            {"kind": each.kind.value, "parameters": each.parameters, "text": each.text}
+            for each in result.cautions
+        ],
         "message": result.message,
     }
 
 
-def _page(file: str, samples: xr.Dataset, results: Sequence[FitResult]) -> str:
-    """Set one file's fits for people: the ranking, then each model's parameters."""
-    channels = [str(channel) for channel in samples["channel"].to_numpy()]
-    first = results[0]
+def _page(file: str, channels: Sequence[str], ranked: Sequence[Candidate]) -> str:
+    """Set one file's fits for people: the ranking, what it means, then each model's parameters."""
+    from analysis.comparison import in_words
+
+    first = ranked[0].result
     shown = [name for name in METRICS if name in first.metrics]
     lines = [f"{file}: {first.count} data in {len(channels)} channel(s), loss {first.loss}", ""]
-    lines.append(f"{'model':<20}" + "".join(f"{METRICS[name]:>13}" for name in shown))
-    for result in results:
-        cells = "".join(f"{result.metrics[name]:>13.5g}" for name in shown)
-        lines.append(f"{result.model.NAME:<20}{cells}")
-    for result in results:
-        lines += ["", *_parameters(result, channels)]
+    heads = ["cross-val.", "BIC", *(METRICS[name] for name in shown)]
+    lines.append(f"{'model':<22}" + "".join(f"{head:>13}" for head in heads))
+    for each in ranked:
+        metrics = [each.result.metrics[name] for name in shown]
+        cells = "".join(f"{value:>13.5g}" for value in (each.cross_validation, each.bic, *metrics))
+        lines.append(f"{each.name:<22}{cells}")
+    words = in_words(ranked)
+    if words:
+        lines += ["", words]
+    for each in ranked:
+        lines += ["", *_parameters(each.result, channels)]
+    return "\n".join([*lines, ""])
+
+
+def _side_by_side(ranked: dict[str, list[Candidate]]) -> list[dict[str, Any]]:
+    """Set each parameter of each model over the files, with the largest difference in its own u."""
+    import numpy as np
+
+    rows = []
+    names = [each.name for each in next(iter(ranked.values()))]
+    for name in names:
+        results = [next(c.result for c in each if c.name == name) for each in ranked.values()]
+        if len({len(result.names) for result in results}) > 1:
+            raise BadInput(
+                "the files have different numbers of channels", where="--compare", todo="choose some"
+            )
+        for row, (parameter, channel) in enumerate(results[0].names):
+            values = np.array([np.ravel(r.parameters[parameter])[channel or 0] for r in results])
+            u = np.sqrt([r.covariance[row, row] for r in results])
+            difference = np.abs(values[:, None] - values[None])
+            spread = np.hypot(u[:, None], u[None])
+            pull = np.max(np.where(spread > 0.0, difference / np.where(spread > 0.0, spread, 1.0), 0.0))
+            rows.append(
+                {
+                    "model": name,
+                    "parameter": parameter,
+                    "channel": channel,
+                    "values": values,
+                    "u": u,
+                    "largest_difference_in_u": float(pull),
+                }
+            )
+    return rows
+
+
+def _comparison(files: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
+    """Set the files side by side for people."""
+    from analysis.table import rounded
+
+    lines = [f"[{number}] {file}" for number, file in enumerate(files, start=1)]
+    model = ""
+    for row in rows:
+        if row["model"] != model:
+            model = row["model"]
+            heads = "".join(f"{f'[{number}]':>24}" for number in range(1, len(files) + 1))
+            lines += ["", f"{model:<16}{heads}{'difference / u':>18}"]
+        label = row["parameter"] if row["channel"] is None else f"{row['parameter']} {row['channel'] + 1}"
+        cells = ""
+        for value, u in zip(row["values"], row["u"], strict=True):
+            number, spread = rounded(float(value), float(u))
+            cells += f"{f'{number} +- {spread}' if spread else f'{number} (open)':>24}"
+        mark = "  differs" if row["largest_difference_in_u"] > DIFFERENT else ""
+        lines.append(f"  {label:<14}{cells}{row['largest_difference_in_u']:>18.3g}{mark}")
     return "\n".join([*lines, ""])
 
 

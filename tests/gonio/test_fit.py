@@ -42,6 +42,14 @@ def test_json_is_one_object_and_nothing_else(table, capsys):
     assert first["parameters"]["kd"]["value"] == pytest.approx([0.1, 0.3], rel=1e-4)
     assert first["derived"]["ks_F0"]["value"] == pytest.approx([0.024, 0.02], rel=1e-3)
     assert len(first["derived"]["ks_F0"]["u"]) == 2
+    low, high = first["parameters"]["m"]["interval_95"]
+    assert low <= first["parameters"]["m"]["value"] <= high
+    assert first["correlation"]["of"] == ["m", "ior", "kd R", "kd G", "ks R", "ks G"]
+    assert [row[i] for i, row in enumerate(first["correlation"]["matrix"])] == pytest.approx([1.0] * 6)
+    assert first["cross_validation"] < second["cross_validation"]
+    assert first["bic"] < second["bic"]
+    assert first["cautions"] == []
+    assert first["condition"] >= 1.0
 
 
 def test_all_models_ranked_for_people(table, capsys):
@@ -54,6 +62,42 @@ def test_all_models_ranked_for_people(table, capsys):
     assert values == sorted(values)
     assert ranking[0][0].startswith("cook-torrance")
     assert "ks_F0 R" in out
+
+
+def test_what_the_ranking_means_is_said(table, capsys):
+    """Catches a table of numbers without a word on what the first row gains."""
+    assert main(["fit", str(table), "--model", "lambert", "blinn-phong"]) == 0
+    assert "on incidences it has not seen blinn-phong errs by" in capsys.readouterr().out
+
+
+def test_files_side_by_side(table, tmp_path, capsys):
+    """Catches a comparison of other parameters, and a difference that is not marked."""
+    import csv
+
+    other = tmp_path / "brighter.csv"
+    with table.open() as source, other.open("w", newline="") as target:
+        rows = [line for line in source if line.startswith("#")]
+        target.writelines(rows)
+        source.seek(0)
+        reader = csv.DictReader(line for line in source if not line.startswith("#"))
+        writer = csv.DictWriter(target, reader.fieldnames)
+        writer.writeheader()
+        for row in reader:
+            changed = {k: repr(float(v) + 0.01) for k, v in row.items() if k.startswith("f_r")}
+            writer.writerow(row | changed)
+    arguments = ["fit", str(table), str(other), "--model", "cook-torrance", "--compare"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert f"[1] {table}" in out
+    assert f"[2] {other}" in out
+    (kd,) = (line for line in out.splitlines() if line.strip().startswith("kd 1"))
+    assert kd.endswith("differs")
+    assert main([*arguments, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (row,) = (r for r in printed["comparison"] if (r["parameter"], r["channel"]) == ("kd", 0))
+    assert np.diff(row["values"]) == pytest.approx(0.01 * np.pi, rel=1e-3)
+    assert main(["fit", str(table), "--compare"]) == 2
+    assert "name the files to compare" in capsys.readouterr().err
 
 
 def test_all_means_all(table, capsys):
