@@ -235,6 +235,7 @@ the bounds, for directions at random, at the mirror direction and beside it, bac
 - anisotropic models, where H lies within some degrees of an axis: the component across it is a difference,
   and the ratio of the widths (up to 667 here) multiplies what it lost. 1e-8, derivatives 1e-6.
 - Lafortune's lobe where its base is below 0.2, for the same reason: the two products cancel.
+- `sgd` where its masking or its reflectance, both differences, end in zero.
 - numbers below 1e-300, which have no twelve digits.
 """
 

@@ -16,6 +16,7 @@ from analysis.models.lafortune import Lafortune, LafortuneRetro
 from analysis.models.lambert import Lambert
 from analysis.models.oren_nayar import Fujii, OrenNayar
 from analysis.models.phong import ModifiedPhong, Phong
+from analysis.models.sgd import SGD
 from analysis.models.torrance_sparrow import (
     TorranceSparrowCosine,
     TorranceSparrowGauss,
@@ -58,6 +59,7 @@ MODELS: dict[str, type[Model]] = {
         BeckmannAnisotropic,
         GGXAnisotropic,
         ABC,
+        SGD,
         OrenNayar,
         Fujii,
         AshikhminShirley,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mpmath as mp
 import numpy as np
 import pytest
 
 from analysis.fit import fit
 from analysis.models import FITTED_MODELS, MODELS
-from analysis.samples import make_samples
+from analysis.samples import make_samples, read
 from rig.errors import BadInput
 
 
@@ -62,6 +64,22 @@ def abc(g, p):
     return p.kd / mp.pi + p.ks * fresnel * groove * density / (mp.pi * g.cos_i * g.cos_o)
 
 
+def shifted_gamma_masking(cosine, p):
+    """Bagher et al. 2012: the masking of one direction."""
+    beyond = max(mp.acos(min(cosine, mp.mpf(1))) - p.theta0_rad, mp.mpf(0))
+    return max(mp.mpf(0), 1 + p.lam * (1 - mp.exp(p.c * beyond**p.k)))
+
+
+def sgd(g, p):
+    """Bagher et al. 2012, D without its norm."""
+    tan2 = 1 / g.cos_h**2 - 1
+    density = mp.exp(-(p.alpha**2 + tan2) / p.alpha) / (p.alpha**2 + tan2) ** p.p / g.cos_h**4
+    peak = mp.exp(-p.alpha) / p.alpha ** (2 * p.p)
+    reflectance = p.f0 - g.cos_d * p.f1 + (1 - p.f0) * (1 - g.cos_d) ** 5
+    masked = shifted_gamma_masking(g.cos_i, p) * shifted_gamma_masking(g.cos_o, p)
+    return p.kd / mp.pi + p.ks * reflectance * density / peak * masked / (4 * g.cos_i * g.cos_o)
+
+
 FORMULAS = {"oren-nayar": oren_nayar, "fujii": fujii, "ashikhmin-shirley": ashikhmin_shirley, "abc": abc}
 
 
@@ -69,6 +87,42 @@ FORMULAS = {"oren-nayar": oren_nayar, "fujii": fujii, "ashikhmin-shirley": ashik
 def test_formula_and_derivatives(name, agree_with_50_digits):
     """Catches a wrong formula or derivative, and digits lost at grazing angles or at a corner of the box."""
     agree_with_50_digits(name, FORMULAS[name])
+
+
+def test_shifted_gamma(agree_with_50_digits):
+    """Catches a wrong formula; where masking or reflectance end in zero no formula has all digits."""
+
+    def cancels(g, values):
+        p = SimpleNamespace(**{key: mp.mpf(value) for key, value in values.items()})
+        flat = p.f0 + (1 - p.f0) * (1 - g.cos_d) ** 5
+        masked = min(shifted_gamma_masking(c, p) for c in (g.cos_i, g.cos_o))
+        return masked < 0.2 or abs(flat - g.cos_d * p.f1) < 0.1 * flat
+
+    agree_with_50_digits("sgd", sgd, skip=cancels)
+
+
+PUBLISHED = {
+    ("special-walnut-224", 0): {"alpha": 0.117091, "p": 0.548899, "f0": 0.0808859, "f1": 0.0327605}
+    | {"theta0_rad": -0.31158, "k": 22.9756, "lam": 3.61532, "c": 1.19182e-7},
+    ("red-fabric", 1): {"alpha": 0.228455, "p": 0.821197, "f0": 0.0644687, "f1": -0.0062547}
+    | {"theta0_rad": -0.530789, "k": 19.649, "lam": 3.93046, "c": 1.04152e-7},
+}
+"""Bagher et al. 2012, supplemental material: shapes of one channel of two MERL materials."""
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("material", "channel"), PUBLISHED)
+def test_published_shapes_describe_the_materials(shared_data, material, channel):
+    """Catches a formula that is not the one for which the paper's parameters of these materials hold."""
+    samples = read(shared_data / "merl-standins" / f"{material}.npz")
+    wi, wo, f_r = (samples[key].to_numpy() for key in ("wi", "wo", "f_r"))
+    columns = MODELS["sgd"](**PUBLISHED[material, channel]).basis(wi, wo)
+    design = np.stack([columns["kd"][:, 0], columns["ks"][:, 0]], axis=1)
+    data, cosine = f_r[:, channel], wi[:, 2]
+    weight = cosine / (1.0 + data * cosine)
+    scales = np.linalg.lstsq(design * weight[:, None], data * weight, rcond=None)[0]
+    residual = np.log1p(design @ scales * cosine) - np.log1p(data * cosine)
+    assert np.sqrt(np.mean(residual**2)) < 0.35 * np.std(np.log1p(data * cosine))
 
 
 @pytest.mark.parametrize(
