@@ -13,16 +13,18 @@ import json
 import sqlite3
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from capture.records import Event, Held, PlannedPose, PoseFlag, Role, Shot, ShotState, Visit
 from capture.statistics import FrameStatistics
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
     from types import TracebackType
+
+Record = TypeVar("Record")
 
 SCHEMA_VERSION = 1
 
@@ -141,21 +143,17 @@ class Journal:
 
     def poses(self) -> list[PlannedPose]:
         """All poses of the expanded plan, refused ones too."""
-        rows = self._read("SELECT pose, wi, wo, angles_rad, refused FROM poses ORDER BY pose")
-        return [
-            PlannedPose(pose, _floats(wi), _floats(wo), _floats(angles) if angles else None, refused)
-            for pose, wi, wo, angles, refused in rows
-        ]
+        return self._read(
+            lambda pose, wi, wo, angles, refused: PlannedPose(
+                pose, _floats(wi), _floats(wo), _floats(angles) if angles else None, refused
+            ),
+            "SELECT pose, wi, wo, angles_rad, refused FROM poses ORDER BY pose",
+        )
 
     def visits(self, number: int | None = None) -> list[Visit]:
         """All visits in the session's order, or the one of that number."""
-        rows = self._read(
-            "SELECT visit, role, pose, station, angles_rad, held_ticks, held_rad, flags, done "
-            "FROM visits WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit",
-            (number,),
-        )
-        return [
-            Visit(
+        return self._read(
+            lambda number, role, pose, station, angles, ticks, held, flags, done: Visit(
                 number,
                 Role(role),
                 pose,
@@ -164,18 +162,16 @@ class Journal:
                 Held(tuple(json.loads(ticks)), _floats(held)) if ticks else None,
                 PoseFlag(flags),
                 bool(done),
-            )
-            for number, role, pose, station, angles, ticks, held, flags, done in rows
-        ]
+            ),
+            "SELECT visit, role, pose, station, angles_rad, held_ticks, held_rad, flags, done "
+            "FROM visits WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit",
+            (number,),
+        )
 
     def shots(self, visit: int | None = None) -> list[Shot]:
         """All shots, or those of one visit, in the order of visits and frames."""
-        query = (
-            "SELECT shot_id, visit, frame, exposure_s, lit, state, path, sha256, statistics FROM shots "
-            "WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit, frame"
-        )
-        return [
-            Shot(
+        return self._read(
+            lambda shot_id, number, frame, exposure_s, lit, state, path, sha256, statistics: Shot(
                 shot_id,
                 number,
                 frame,
@@ -185,22 +181,23 @@ class Journal:
                 path,
                 sha256,
                 FrameStatistics.from_json(statistics) if statistics else None,
-            )
-            for shot_id, number, frame, exposure_s, lit, state, path, sha256, statistics in self._read(
-                query, (visit,)
-            )
-        ]
+            ),
+            "SELECT shot_id, visit, frame, exposure_s, lit, state, path, sha256, statistics FROM shots "
+            "WHERE ?1 IS NULL OR visit = ?1 ORDER BY visit, frame",
+            (visit,),
+        )
 
     def events(self) -> list[Event]:
         """Everything that happened, in order."""
-        rows = self._read("SELECT time, kind, detail FROM events ORDER BY event")
-        return [Event(moment, kind, json.loads(detail)) for moment, kind, detail in rows]
+        return self._read(
+            lambda moment, kind, detail: Event(moment, kind, json.loads(detail)),
+            "SELECT time, kind, detail FROM events ORDER BY event",
+        )
 
     def camera(self) -> tuple[str | None, str | None] | None:
         """Tell serial number and model of the camera of the session's frames; None before the first."""
-        rows = self._read("SELECT detail FROM events WHERE kind = 'camera' ORDER BY event LIMIT 1")
-        detail = json.loads(rows[0][0]) if rows else None
-        return None if detail is None else (detail["serial"], detail["model"])
+        found = [event.detail for event in self.events() if event.kind == "camera"]
+        return (found[0].get("serial"), found[0].get("model")) if found else None
 
     def add_visits(self, visits: Sequence[Visit]) -> None:
         """Add planned visits; one that is there already, by role and pose, stays as it is."""
@@ -281,9 +278,14 @@ class Journal:
                 (now(), kind, json.dumps(detail, default=str)),
             )
 
-    def _read(self, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    def _read(self, make: Callable[..., Record], query: str, values: tuple[Any, ...] = ()) -> list[Record]:
+        """Make a record of each row that a query finds; rows that hold rubbish are a damaged journal."""
         with self._lock, _one_line(self.path):
-            return self._connection.execute(query, values).fetchall()
+            rows = self._connection.execute(query, values).fetchall()
+        try:
+            return [make(*row) for row in rows]
+        except (ValueError, KeyError, TypeError) as error:
+            raise _unreadable(self.path, error) from error
 
     @contextlib.contextmanager
     def _change(self) -> Iterator[sqlite3.Connection]:

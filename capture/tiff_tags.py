@@ -185,12 +185,12 @@ def cfa(tags: Mapping[int, Any], path: Path) -> tuple[NDArray[np.int64], tuple[s
     Raises
     ------
     BadInput
-        The pattern holds other colours than red, green and blue.
+        The pattern is damaged, or holds other colours than red, green and blue.
     """
     pattern = tags.get(CFA_PATTERN)
     if pattern is None:
         return np.zeros((2, 2), dtype=np.int64), ("mono",)
-    codes = [int(code) for code in pattern]
+    codes = [int(code) for code in _numbers(pattern, "colour filter pattern", path)]
     if len(codes) != 4 or not set(codes) <= {0, 1, 2}:
         raise BadInput(
             f"its colour filter pattern is {codes}, only 2 x 2 cells of red, green and blue are supported",
@@ -206,19 +206,32 @@ def black_level(tags: Mapping[int, Any], path: Path) -> NDArray[np.float64]:
     Raises
     ------
     BadInput
-        The black levels do not fit a 2 x 2 cell.
+        The black levels are damaged, or do not fit a 2 x 2 cell.
     """
     stated = tags.get(BLACK_LEVEL)
     if stated is None:
         return np.zeros((2, 2))
-    values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
+    values = _numbers(stated, "black level", path)
     # Four values without a repeat dimension mean the four positions of the cell (LibRaw reads 0 there).
     default = (2, 2) if values.size == 4 else (1, values.size)
-    rows, cols = (int(n) for n in np.atleast_1d(tags.get(BLACK_REPEAT, default)))
-    if rows * cols != values.size or 2 % max(rows, 1) or 2 % max(cols, 1) or not np.isfinite(values).all():
+    cell = _numbers(tags.get(BLACK_REPEAT, default), "black level's cell", path)
+    rows, cols = (int(n) for n in cell) if cell.size == 2 else (0, 0)
+    if rows not in {1, 2} or cols not in {1, 2} or rows * cols != values.size:
         raise BadInput(
             f"its black levels ({values.size} for a cell of {rows} x {cols}) do not fit a 2 x 2 mosaic",
             where=str(path),
             todo="give the black level per CFA position",
         )
     return np.tile(values.reshape(rows, cols), (2 // rows, 2 // cols))
+
+
+def _numbers(value: Any, name: str, path: Path) -> NDArray[np.float64]:
+    """Read a tag's value as finite numbers; a damaged tag may hold a text, or nothing."""
+    try:
+        plain = tuple(value) if isinstance(value, bytes) else value
+        numbers = np.atleast_1d(np.asarray(plain, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if not np.isfinite(numbers).all():
+        raise BadInput(f"its {name} is damaged", where=str(path), todo=SEND_AGAIN)
+    return numbers

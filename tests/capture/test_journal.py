@@ -168,6 +168,26 @@ def test_a_file_that_is_no_journal(tmp_path: Path, content: bytes) -> None:
         Journal(tmp_path / "none.db")
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE poses SET wi = 'x'",
+        "UPDATE visits SET angles_rad = '[1, \"x\"]'",
+        "UPDATE visits SET flags = 'x'",
+        "UPDATE events SET detail = '{'",
+        "UPDATE shots SET statistics = '[]'",
+        'UPDATE shots SET statistics = \'{"channels": [{"a": 1}]}\'',
+    ],
+)
+def test_rubbish_in_a_row_is_one_line(journal: Journal, damage: str) -> None:
+    """Would catch a traceback where the file is sound and a text in it is not."""
+    journal.note("started")
+    journal.intend(first_shot())
+    journal._connection.execute(damage)
+    with pytest.raises(BadInput, match="not a readable journal"):
+        (journal.poses(), journal.visits(), journal.shots(), journal.events())
+
+
 def test_a_damaged_page_is_one_line(journal: Journal) -> None:
     """Would catch a traceback where the file opens and a table behind its first page is rubbish."""
     for number in range(200):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,6 @@ from rig.errors import BadInput
 from simulator.dng import DngMeta, write_dng
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 CFA_TAGS = [(33421, 3, 2, (2, 2), True), (50706, 1, 4, b"\1\4\0\0", True)]
@@ -295,3 +294,23 @@ def test_our_description_must_be_json(tmp_path: Path) -> None:
     damaged = cfa_file(tmp_path / "b.dng", mosaic(), description='{"gonio": 1, "exposure_s"')
     with pytest.raises(BadInput, match=r"b\.dng.*ImageDescription"):
         read_raw(damaged)
+
+
+@pytest.mark.parametrize(
+    ("tag", "value"),
+    [
+        (tiff_tags.BLACK_LEVEL, "J"),
+        (tiff_tags.BLACK_LEVEL, ()),
+        (tiff_tags.BLACK_REPEAT, (2, 2, 1)),
+        (tiff_tags.BLACK_REPEAT, "x"),
+        (tiff_tags.BLACK_REPEAT, 2),
+        (tiff_tags.CFA_PATTERN, "RGGB"),
+        (tiff_tags.CFA_PATTERN, 1),
+    ],
+)
+def test_damaged_tags_are_one_line(tag: int, value: object) -> None:
+    """Would catch a flipped bit in a frame's header that ends a capture with a traceback."""
+    tags = {tiff_tags.BLACK_LEVEL: (1, 2, 3, 4), tiff_tags.CFA_PATTERN: b"\0\1\1\2", tag: value}
+    path = Path("damaged.dng")
+    with pytest.raises(BadInput, match=r"damaged\.dng: its (black level|colour filter)"):
+        (tiff_tags.cfa(tags, path), tiff_tags.black_level(tags, path))
