@@ -147,7 +147,7 @@ def _entry(file: str, channels: Sequence[str], candidate: Candidate) -> dict[str
             for name, value in result.parameters.items()
         },
         "derived": {name: {"value": value, "u": u} for name, (value, u) in result.derived.items()},
-        "metrics": result.metrics,
+        "metrics": result.metrics | _appearance(result),
         "cross_validation": candidate.cross_validation,
         "bic": candidate.bic,
         "condition": result.condition,
@@ -161,6 +161,17 @@ def _entry(file: str, channels: Sequence[str], candidate: Candidate) -> dict[str
         ],
         "message": result.message,
     }
+
+
+def _appearance(result: FitResult) -> dict[str, float]:
+    """Compare model and samples by albedo and the colours of a sphere."""
+    import numpy as np
+
+    from analysis.appearance import appearance
+
+    geometry, loss = result.state.problem.geometry, result.state.loss
+    f_r = np.where(loss.used, loss.data, np.nan)
+    return appearance(result.model.evaluate, geometry.wi, geometry.wo, f_r)
 
 
 def _page(file: str, channels: Sequence[str], ranked: Sequence[Candidate]) -> str:

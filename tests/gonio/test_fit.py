@@ -12,7 +12,7 @@ from analysis.samples import make_samples, write
 from gonio.cli import main
 from rig.angles import spherical_to_direction
 
-METRICS = {"rms_log", "l2_cos", "rms_cbrt", "median_relative"}
+METRICS = {"rms_log", "l2_cos", "rms_cbrt", "median_relative", "albedo_0", "albedo_30", "delta_e_mean"}
 
 
 @pytest.fixture
