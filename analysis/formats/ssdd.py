@@ -1,0 +1,241 @@
+"""Surface scattering distribution data (SSDD, Kimura): ASCII tables over grids of angles in degrees.
+
+Written against version 0.2 of its specification, whose entries and order later 0.x versions keep. Read: the
+BRDF block of a file, `DATA ascii`, in all three parametrisations (spherical; specular, counted as Zemax does;
+half-difference); other blocks are skipped. Cells with a direction below the horizon are dropped. Written: one
+BRDF in spherical coordinates, only from samples that fill a grid, so that nothing is resampled; uncertainties
+are lost.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.zemax import directions
+from analysis.samples import make_samples
+from rig.angles import direction_to_spherical, from_half_difference, rotation, spherical_to_direction
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+NAME = "SSDD"
+SUFFIX = ".ssdd"
+VERSION = "0.2"
+OPTIONS: tuple[str, ...] = ()
+COUNTS = {"monochrome": 1, "rgb": 3, "xyz": 3}
+SYSTEMS = ("spherical_coordinate_system", "specular_coordinate_system", "half_difference_coordinate_system")
+HORIZON = 1e-9
+MOST_CELLS = 20_000_000
+SAME_DEG = 1e-6
+_START = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:#[^\r\n]*[\r\n]+|\s)*+VERSION[ \t]+\d")
+_DATA_TYPE = re.compile(rb"^[ \t]*DATA_TYPE[ \t]", re.MULTILINE)
+
+
+class Entry(NamedTuple):
+    """A line of meta-data: its words after the name, and where it stands."""
+
+    words: list[str]
+    where: str
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the file starts with a version and has a block's first entry."""
+    return looks_like_text(head) and _START.match(head) is not None and _DATA_TYPE.search(head) is not None
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read the samples of the file's BRDF.
+
+    Raises
+    ------
+    BadInput
+        If there is no BRDF, an entry is missing or unknown, or the table has the wrong size or a malformed
+        number; names line and column.
+    """
+    content = [
+        (line, re.split(r"(?:^|\s)#\s", text, maxsplit=1)[0].split())
+        for line, text in enumerate(read_lines(path), start=1)
+    ]
+    lines = [(line, words) for line, words in content if words]
+    starts = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA_TYPE"]
+    for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
+        if lines[start][1][1:] == ["brdf"]:
+            return _block(lines[start:end], path)
+    raise BadInput("holds no BRDF", where=f"{path}: line 1", todo="gonio reads reflection only")
+
+
+def _block(lines: list[tuple[int, list[str]]], path: Path) -> xr.Dataset:
+    ends = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA"]
+    if not ends:
+        raise BadInput("has no entry DATA", where=f"{path}: line {lines[-1][0]}", todo="copy the file again")
+    entries = {words[0]: Entry(words[1:], f"{path}: line {line}") for line, words in lines[: ends[0] + 1]}
+    if entries["DATA"].words != ["ascii"]:
+        raise BadInput(
+            "only DATA ascii is read", where=entries["DATA"].where, todo="export the table as text"
+        )
+    channels, wavelengths = _channels(entries, path)
+    grid = [_angles(entries, f"PARAM{index}_LIST", required=index != 1, path=path) for index in range(4)]
+    count = int(np.prod([float(len(angles)) for angles in grid]))
+    body = lines[ends[0] + 1 :]
+    if count > MOST_CELLS or len(body) != count:
+        raise BadInput(
+            f"{len(body)} rows follow, the lists announce {count}",
+            where=f"{path}: line {lines[-1][0]}",
+            todo="the file is cut short or a list is wrong: copy it again",
+        )
+    table = np.array([_row(line, words, len(channels), path) for line, words in body])
+    # The first parameter runs fastest.
+    cells = np.stack([axis.ravel(order="F") for axis in np.meshgrid(*map(np.radians, grid), indexing="ij")])
+    wi, wo = _directions(cells, entries, path)
+    above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
+    return make_samples(
+        wi[above],
+        wo[above],
+        table[above],
+        channels=None if wavelengths is not None else channels,
+        wavelength_nm=wavelengths,
+        source=path.name,
+    )
+
+
+def _row(line: int, words: list[str], width: int, path: Path) -> list[float]:
+    if len(words) != width:
+        raise BadInput(
+            f"has {len(words)} numbers, the colour model {width}",
+            where=f"{path}: line {line}",
+            todo="complete the row",
+        )
+    return [
+        number(word, where=f"{path}: line {line}, column {column}")
+        for column, word in enumerate(words, start=1)
+    ]
+
+
+def _entry(entries: dict[str, Entry], name: str, path: Path) -> Entry:
+    if name not in entries:
+        raise BadInput(f"has no entry {name}", where=f"{path}: line 1", todo="add it or copy the file again")
+    return entries[name]
+
+
+def _channels(entries: dict[str, Entry], path: Path) -> tuple[list[str], Array | None]:
+    model = _entry(entries, "COLOR_MODEL", path)
+    name = " ".join(model.words)
+    if name == "spectrum":
+        wavelengths = _angles(entries, "WAVELENGTH_LIST", required=True, path=path)
+        return [f"{w:g} nm" for w in wavelengths], wavelengths
+    if name not in COUNTS:
+        raise BadInput(
+            f"colour model '{name[:40]}' is unknown",
+            where=model.where,
+            todo=f"known: {', '.join(COUNTS)}, spectrum",
+        )
+    return (["monochrome"] if name == "monochrome" else list(name.upper())), None
+
+
+def _angles(entries: dict[str, Entry], name: str, *, required: bool, path: Path) -> Array:
+    if name not in entries and not required:
+        return np.zeros(1)
+    entry = _entry(entries, name, path)
+    if not entry.words:
+        raise BadInput(f"{name} is empty", where=entry.where, todo="list at least one number")
+    return np.array(
+        [
+            number(word, where=f"{entry.where}, column {column}")
+            for column, word in enumerate(entry.words, start=2)
+        ]
+    )
+
+
+def _directions(cells: Array, entries: dict[str, Entry], path: Path) -> tuple[Array, Array]:
+    system = _entry(entries, "PARAM_TYPE", path)
+    name = " ".join(system.words)
+    if name == SYSTEMS[0]:
+        return spherical_to_direction(cells[0], cells[1]), spherical_to_direction(cells[2], cells[3])
+    if name == SYSTEMS[1]:
+        if "PARAM4_LIST" in entries:
+            raise BadInput(
+                "offsets from the mirror direction are not read",
+                where=entries["PARAM4_LIST"].where,
+                todo="export the BRDF without PARAM4_LIST",
+            )
+        local = directions(cells[0], cells[3], cells[2])
+        turn = rotation(np.array([0.0, 0.0, 1.0]), cells[1])
+        return spherical_to_direction(cells[0], cells[1]), np.einsum("nij,nj->ni", turn, local)
+    if name == SYSTEMS[2]:
+        wi, wo = from_half_difference(*cells)
+        return wi, wo
+    raise BadInput(
+        f"'{name[:40]}' is no parametrisation", where=system.where, todo=f"known: {', '.join(SYSTEMS)}"
+    )
+
+
+def write(samples: xr.Dataset, path: Path) -> None:
+    """Write samples that fill a grid of theta_i, phi_i, theta_o and phi_o.
+
+    Where the light has one azimuth, view azimuths are counted from it (isotropic data in this format).
+
+    Raises
+    ------
+    BadInput
+        If directions of the grid are missing, measured twice, flagged or without value.
+    """
+    angles = [
+        np.degrees(angle)
+        for name in ("wi", "wo")
+        for angle in direction_to_spherical(samples[name].to_numpy())
+    ]
+    light = np.unique(np.round(angles[1] % 360.0 / SAME_DEG)) * SAME_DEG
+    if len(light) == 1:
+        angles[3] = angles[3] - light[0]
+        angles[1] = np.zeros_like(angles[1])
+    keys = [np.round(angle / SAME_DEG).astype(np.int64) for angle in angles]
+    keys[1], keys[3] = (key % round(360.0 / SAME_DEG) for key in (keys[1], keys[3]))
+    lists, places = zip(*(np.unique(key, return_inverse=True) for key in keys), strict=True)
+    shape = tuple(len(values) for values in lists)
+    usable = np.isfinite(samples["f_r"].to_numpy()).all(axis=1) & (samples["flags"].to_numpy() == 0).all(
+        axis=1
+    )
+    missing = int(np.prod([float(size) for size in shape])) - np.count_nonzero(usable)
+    flat = np.ravel_multi_index(places, shape, order="F")
+    if missing or len(np.unique(flat)) != len(flat):
+        raise BadInput(
+            f"the samples do not fill their grid of {' x '.join(map(str, shape))} directions",
+            where=str(path),
+            todo="SSDD holds full grids only: select such samples, or write NetCDF, CSV or ASTM",
+        )
+    table = samples["f_r"].to_numpy()[np.argsort(flat)]
+    lines = [f"VERSION {VERSION}", "SOFTWARE gonio", "", "DATA_TYPE brdf", *_model(samples)]
+    lines.append(f"PARAM_TYPE {SYSTEMS[0]}")
+    for index, values in enumerate(lists):
+        if index != 1 or len(values) > 1:
+            lines.append(f"PARAM{index}_LIST " + " ".join(f"{value * SAME_DEG:.10g}" for value in values))
+    lines += ["SOURCE_TYPE measured", "DATA ascii"]
+    lines += [" ".join(repr(float(value)) for value in row) for row in table]
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _model(samples: xr.Dataset) -> list[str]:
+    names = [str(name).lower() for name in samples["channel"].to_numpy()]
+    for model in ("rgb", "xyz"):
+        if names == list(model):
+            return [f"COLOR_MODEL {model}"]
+    if "wavelength_nm" in samples.coords:
+        wavelengths = samples["wavelength_nm"].to_numpy()
+        return ["COLOR_MODEL spectrum", "WAVELENGTH_LIST " + " ".join(f"{w:.10g}" for w in wavelengths)]
+    if len(names) == 1:
+        return ["COLOR_MODEL monochrome"]
+    raise BadInput(
+        f"channels {', '.join(names[:5])} are neither RGB, XYZ nor wavelengths",
+        where="SSDD",
+        todo="select one channel or name the wavelengths",
+    )
