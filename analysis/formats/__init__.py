@@ -18,7 +18,21 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
-NAMES = ("netcdf", "rgl", "merl", "rt300s", "npz", "csv", "fred", "zemax", "astm", "alta", "ssdd", "cornell")
+NAMES = (
+    "netcdf",
+    "rgl",
+    "merl",
+    "rt300s",
+    "npz",
+    "inplane",
+    "csv",
+    "fred",
+    "zemax",
+    "astm",
+    "alta",
+    "ssdd",
+    "cornell",
+)
 HEAD_BYTES = 65536
 LARGEST_BYTES = 4 * 1024**3
 SESSION_FILE = "samples.nc"

@@ -1,0 +1,222 @@
+"""Tables in the plane of incidence with named columns, each laboratory's with its own convention.
+
+Separated by commas, polar angles in degrees, the light on one side of the normal and a positive view on the
+other: columns `theta_i_deg`, `theta_o_deg`, optionally `material`, and either `f_r` or `radiance_L_o`, the
+radiance of the mid-infrared instrument of Noori and others (JSSS 2025):
+
+    f_r = L_o / (L_i cos(theta_i) Omega_i),  Omega_i = pi 5^2 / 315^2 sr,  L_i = 3463.986
+
+They published f_r cos(theta_o), which breaks reciprocity: `as_published` gives those values.
+
+Separated by blanks, with the columns named in the last comment: `phi_i theta_i phi_o theta_o brdf`, where the
+file's comments say which of the two is the zenith; signed zenith angles, as in the chassis of a satellite by
+Fankhauser and others (2023). Directions at or below the horizon are dropped: no BRDF is defined there.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.samples import make_samples
+from rig.angles import spherical_to_direction
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+NAME = "in-plane table"
+OPTIONS = ("material", "as_published")
+POLAR = ("theta_i_deg", "theta_o_deg")
+VALUES = ("f_r", "radiance_L_o")
+ANGLES = ("phi_i", "theta_i", "phi_o", "theta_o")
+SOURCE_SOLID_ANGLE_SR = float(np.pi * 5.0**2 / 315.0**2)
+SOURCE_RADIANCE = 3463.986
+HORIZON = 1e-6
+_ZENITH = re.compile(r"\((phi|theta)_[io], *(?:phi|theta)_[io]\) are the zenith and azimuth")
+_WAVELENGTH = re.compile(r"lambda *= *(\d+(?:\.\d+)?) *nm")
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the columns' names are those of an in-plane table."""
+    if not looks_like_text(head):
+        return False
+    lines = head.decode("utf-8-sig", errors="replace").splitlines()
+    return _comma_header(lines) is not None or _blank_header(lines) is not None
+
+
+def _comma_header(lines: list[str]) -> int | None:
+    """Return the index of the line that names comma-separated columns."""
+    for index, line in enumerate(lines):
+        if line.strip() and not line.lstrip().startswith("#"):
+            names = [name.strip() for name in line.split(",")]
+            known = set(POLAR) <= set(names) and not set(names) - {*POLAR, *VALUES, "material"}
+            return index if known else None
+    return None
+
+
+def _blank_header(lines: list[str]) -> int | None:
+    """Return the index of the comment that names blank-separated columns."""
+    for index, line in enumerate(lines):
+        if line.strip() and not line.startswith("#"):
+            return None
+        if line[1:].split() == [*ANGLES, "brdf"]:
+            return index
+    return None
+
+
+def read(path: Path, *, material: str | None = None, as_published: bool = False) -> xr.Dataset:
+    """Read samples.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    material : str, optional
+        Which of several materials; needed where there are several.
+    as_published : bool
+        Leave the factor cos(theta_o) of the published formula inside (radiance tables only).
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    BadInput
+        If a row has the wrong length, a cell is no finite number, an angle is none of its kind, or the
+        material is not there; names line and column.
+    """
+    lines = read_lines(path)
+    header = _comma_header(lines)
+    if header is not None:
+        return _read_commas(lines, header, path, material, as_published=as_published)
+    if material is not None or as_published:
+        raise BadInput(
+            "names no materials and no published formula", where=str(path), todo="leave the option out"
+        )
+    return _read_blanks(lines, path)
+
+
+def _read_commas(
+    lines: list[str], header: int, path: Path, material: str | None, *, as_published: bool
+) -> xr.Dataset:
+    names = [name.strip() for name in lines[header].split(",")]
+    values = [name for name in VALUES if name in names]
+    if len(values) != 1 or len(set(names)) != len(names):
+        raise BadInput(
+            "needs exactly one column f_r or radiance_L_o, and each name once",
+            where=f"{path}: line {header + 1}",
+            todo="name the columns",
+        )
+    if as_published and values != ["radiance_L_o"]:
+        raise BadInput("holds no radiance", where=str(path), todo="leave --as-published out")
+    rows: dict[str, list[list[float]]] = {}
+    for line, text in enumerate(lines[header + 1 :], start=header + 2):
+        if not text.strip() or text.startswith("#"):
+            continue
+        cells = [cell.strip() for cell in text.split(",")]
+        if len(cells) != len(names):
+            raise BadInput(
+                f"has {len(cells)} cells, the header {len(names)}",
+                where=f"{path}: line {line}",
+                todo="complete the row and write decimals with a point",
+            )
+        row = dict(zip(names, cells, strict=True))
+        numbers = [
+            number(row[name], where=f"{path}: line {line}, column {name}") for name in (*POLAR, values[0])
+        ]
+        for name, angle in zip(POLAR, numbers, strict=False):
+            _check_polar(angle, f"{path}: line {line}, column {name}")
+        rows.setdefault(row.get("material", ""), []).append(numbers)
+    chosen = _choose(rows, material, path)
+    theta_i, theta_o, value = np.array(rows[chosen]).T
+    theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
+    above = (np.cos(theta_i) > HORIZON) & (np.cos(theta_o) > HORIZON)
+    theta_i, theta_o, value = theta_i[above], theta_o[above], value[above]
+    if values == ["radiance_L_o"]:
+        value = value / (SOURCE_RADIANCE * np.cos(theta_i) * SOURCE_SOLID_ANGLE_SR)
+    samples = make_samples(
+        spherical_to_direction(theta_i, np.pi),
+        spherical_to_direction(theta_o, 0.0),
+        value * np.cos(theta_o) if as_published else value,
+        channels=[values[0]],
+        source_solid_angle_sr=SOURCE_SOLID_ANGLE_SR if values == ["radiance_L_o"] else np.nan,
+        source=f"{path.name} {chosen}".strip(),
+    )
+    if as_published:
+        samples.attrs["cosine"] = "cos(theta_o) left inside, as published"
+    return samples
+
+
+def _choose(rows: dict[str, list[list[float]]], material: str | None, path: Path) -> str:
+    if not rows:
+        raise BadInput("has a header but no rows", where=str(path), todo="add samples")
+    if material is None and len(rows) == 1:
+        return next(iter(rows))
+    if material not in rows:
+        what = f"holds no '{material}'" if material else f"holds {len(rows)} materials"
+        raise BadInput(what, where=str(path), todo=f"choose with --material one of {', '.join(rows)}")
+    return material
+
+
+def _check_polar(angle_deg: float, where: str) -> None:
+    if not -90.0 <= angle_deg <= 90.0:
+        raise BadInput(
+            f"{angle_deg:g} is no polar angle in degrees",
+            where=where,
+            todo="zenith angles lie in -90 to 90; perhaps zenith and azimuth are exchanged",
+        )
+
+
+def _read_blanks(lines: list[str], path: Path) -> xr.Dataset:
+    header = _blank_header(lines)
+    comments = "\n".join(line for line in lines if line.startswith("#"))
+    stated = _ZENITH.search(comments)
+    zenith = stated.group(1) if stated else "theta"
+    rows = []
+    for line, text in enumerate(lines, start=1):
+        words = text.split()
+        if not words or text.startswith("#"):
+            continue
+        if len(words) != len(ANGLES) + 1:
+            raise BadInput(
+                f"has {len(words)} numbers, not {len(ANGLES) + 1}",
+                where=f"{path}: line {line}",
+                todo="complete the row",
+            )
+        row = {
+            name: number(word, where=f"{path}: line {line}, column {name}")
+            for name, word in zip((*ANGLES, "brdf"), words, strict=True)
+        }
+        for name in (f"{zenith}_i", f"{zenith}_o"):
+            _check_polar(row[name], f"{path}: line {line}, column {name}")
+        rows.append(row)
+    if not rows:
+        raise BadInput(
+            "has a header but no rows", where=f"{path}: line {(header or 0) + 1}", todo="add samples"
+        )
+    table = {name: np.array([row[name] for row in rows]) for name in (*ANGLES, "brdf")}
+    azimuth = "theta" if zenith == "phi" else "phi"
+    wi, wo = (
+        spherical_to_direction(np.radians(table[f"{zenith}_{end}"]), np.radians(table[f"{azimuth}_{end}"]))
+        for end in "io"
+    )
+    above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
+    wavelength = _WAVELENGTH.search(comments)
+    return make_samples(
+        wi[above],
+        wo[above],
+        table["brdf"][above],
+        wavelength_nm=[float(wavelength.group(1))] if wavelength else None,
+        channels=None if wavelength else ["brdf"],
+        source=path.name,
+    )

@@ -1,0 +1,109 @@
+"""In-plane tables: the mid-infrared radiances and the satellite's chassis, each with its convention."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.samples import read
+from rig.angles import mirror, spherical_to_direction
+from rig.errors import BadInput
+
+TABLE = (
+    "material,theta_o_deg,theta_i_deg,radiance_L_o\r\n"
+    "kupfer,60,90,0.5\r\nkupfer,60,30,0.25\r\nlack,0,60,1.0\r\n"
+)
+CHASSIS = """# (phi_i, theta_i) are the zenith and azimuth angles
+# (phi_o, theta_o) are the zenith and azimuth angles
+# and is at a wavelength lambda = 532 nm
+#
+# phi_i     theta_i     phi_o     theta_o     brdf
+75.00     -180.00     -90.00     0.00     1.0e-04
+75.00     -180.00     75.00      0.00     8.0e+03
+60.00     -180.00     -60.00     0.00     2.0e-02
+"""
+
+
+@pytest.fixture
+def save(tmp_path):
+    """Return a function that writes a file whose suffix says nothing."""
+
+    def write_file(content):
+        path = tmp_path / "file.dat"
+        path.write_bytes(content.encode())
+        return path
+
+    return write_file
+
+
+def test_radiance(save):
+    """Catches the published cosine left inside, a wrong solid angle, and light and view on the same side."""
+    path = save(TABLE)
+    samples = read(path, material="kupfer")
+    assert samples.sizes["sample"] == 1  # at 90 deg of incidence nothing falls on the sample
+    omega = np.pi * 25.0 / 315.0**2
+    expected = 0.25 / (3463.986 * np.cos(np.pi / 6) * omega)
+    assert float(samples["f_r"][0, 0]) == pytest.approx(expected, rel=1e-12)
+    assert samples.attrs["source_solid_angle_sr"] == pytest.approx(omega)
+    np.testing.assert_allclose(samples["wo"][0], spherical_to_direction(np.pi / 3, 0.0), atol=1e-15)
+    assert float(samples["wi"][0, 0]) == pytest.approx(-0.5)
+    published = read(path, material="kupfer", as_published=True)
+    assert float(published["f_r"][0, 0]) == pytest.approx(expected * 0.5, rel=1e-12)
+    assert "published" in published.attrs["cosine"]
+
+
+def test_plain_table_of_one_material(save):
+    """Catches values that are scaled although they are a BRDF."""
+    samples = read(save("theta_i_deg,theta_o_deg,f_r\n10,-20,0.5\n"))
+    assert float(samples["f_r"][0, 0]) == 0.5
+    assert float(samples["wo"][0, 0]) < 0.0
+    assert float(samples["wi"][0, 0]) < 0.0
+
+
+def test_chassis(save):
+    """Catches zenith and azimuth exchanged, and the sign of the zenith lost."""
+    samples = read(save(CHASSIS))
+    np.testing.assert_array_equal(samples["f_r"][:, 0], [8000.0, 0.02])
+    np.testing.assert_array_equal(samples["wavelength_nm"], [532.0])
+    np.testing.assert_allclose(samples["wo"][0], mirror(samples["wi"].to_numpy()[0]), atol=1e-12)
+    np.testing.assert_allclose(samples["wo"][1], samples["wi"][1], atol=1e-12)
+
+
+@pytest.mark.realdata
+def test_real_files(shared_data):
+    """Catches lost rows, and a mirror peak that is not where the mirror direction is."""
+    chassis = read(shared_data / "starlink" / "chassis_brdf.csv")
+    for cosine in np.unique(np.round(chassis["wi"].to_numpy()[:, 2], 9)):
+        one = chassis.isel(sample=np.flatnonzero(np.abs(chassis["wi"].to_numpy()[:, 2] - cosine) < 1e-8))
+        brightest = int(one["f_r"].argmax("sample")[0])
+        reflected = mirror(one["wi"].to_numpy()[brightest])
+        assert np.degrees(np.arccos(np.clip(reflected @ one["wo"].to_numpy()[brightest], -1, 1))) < 1.5
+    path = shared_data / "mwir" / "radiance.csv"
+    copper = read(path, material="Kupfer")
+    assert copper.sizes["sample"] == 890  # 10 views x 89 incidences, 90 deg left out
+    with pytest.raises(BadInput, match=r"6 materials.*Verzinkter Stahl"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (TABLE.replace("0.25", "nan"), "line 3, column radiance_L_o.*finite"),
+        (TABLE.replace("0.25", "0,25"), "line 3: has 5 cells"),
+        (TABLE.replace("60,30", "60,130"), "line 3, column theta_i_deg: 130"),
+        (TABLE.replace("kupfer", "lack"), "no 'kupfer'"),
+        (TABLE.split("kupfer", maxsplit=1)[0], "no rows"),
+        (CHASSIS.replace("8.0e+03", "8,0e+03"), "line 7, column brdf: '8,0e.*point"),
+        (CHASSIS.replace("8.0e+03", ""), "line 7: has 4 numbers"),
+        (CHASSIS.replace("(phi_i, theta_i)", "(theta_i, phi_i)"), "line 6, column theta_i: -180.*exchanged"),
+        (CHASSIS.split("75.00", maxsplit=1)[0], "line 5: has a header"),
+    ],
+)
+def test_damaged(save, content, complaint):
+    """Catches tracebacks and errors that do not name the place."""
+    path = save(content)
+    material = {"material": "kupfer"} if content.startswith("material") else {}
+    with pytest.raises(BadInput, match=complaint) as caught:
+        read(path, **material)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
