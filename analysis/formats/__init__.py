@@ -22,6 +22,7 @@ NAMES = (
     "netcdf",
     "rgl",
     "merl",
+    "pab",
     "rt300s",
     "npz",
     "inplane",

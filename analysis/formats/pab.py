@@ -1,0 +1,257 @@
+"""PAB (pgII) text, which Radiance's `pabopto2bsdf` reads: one direction of incidence a file.
+
+    #sample_name "paint"
+    #format: theta phi BSDF         or BRDF, BTDF; DSF is times cos(theta)
+    #intheta 30                     polar angle and azimuth towards the light, in degrees; or both after
+    #inphi 0                        #incident_angle
+    #upphi 90                       90 leaves Radiance's axes as ours
+    #colorimetry: CIE-XYZ           three values a row; CIE-Y one
+    10 180 0.25                     theta over 90 is behind the surface
+
+Files put one after the other are read as one set of samples.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.formats.scattered import usable
+from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.samples import make_samples
+from rig.angles import direction_to_spherical, spherical_to_direction
+from rig.errors import BadInput
+from rig.files import whole_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+NAME = "Radiance PAB text"
+OPTIONS: tuple[str, ...] = ()
+SUFFIX = ".pab"
+
+WITH_COSINE = "dsf"
+WITHOUT_COSINE = ("bsdf", "brdf", "btdf")
+COLOURS = {"cie-y": ["Y"], "cie-xyz": ["X", "Y", "Z"]}
+LOWEST_COSINE = 1e-3
+NEAR_GRAZING = 1
+"""Flag of a value with cosine, so near to the surface that the cosine cannot be taken out."""
+
+SAME_INCIDENCE_DEG = 0.1
+SRGB_TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+"""Linear sRGB (IEC 61966-2-1) to CIE XYZ."""
+
+_FORMAT = re.compile(r"(?im)^#\s*format:\s*theta\s+phi\s+(\w+)")
+_ENTRY = re.compile(r"#\s*(\w+):?\s*(.*)")
+
+
+class _Block(NamedTuple):
+    """One file's worth: header entries and rows, each row with its line."""
+
+    header: dict[str, str]
+    rows: list[tuple[int, list[str]]]
+    line: int
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the text's header names the columns theta and phi."""
+    return looks_like_text(head) and _FORMAT.search(head.decode("latin-1")) is not None
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read samples.
+
+    Raises
+    ------
+    BadInput
+        If the header lacks the incidence or the kind of values, or a row is malformed; names the line.
+    """
+    blocks = [_parse(block, path) for block in _blocks(path)]
+    names = [name for *_, name in blocks]
+    if any(name != names[0] for name in names):
+        raise BadInput("its parts have different channels", where=str(path), todo="read them one by one")
+    wi, wo, f_r, flags = (np.concatenate([block[i] for block in blocks]) for i in range(4))
+    return make_samples(wi, wo, f_r, channels=names[0], flags=flags, source=path.name)
+
+
+def write(samples: xr.Dataset, path: Path) -> None:
+    """Write the samples of one direction of incidence.
+
+    Raises
+    ------
+    BadInput
+        If there are several, fewer than 16 samples can be used, or the channels are neither one, nor X, Y, Z,
+        nor R, G, B.
+    """
+    texts = _texts(samples)
+    if len(texts) > 1:
+        raise BadInput(
+            f"{len(texts)} directions of incidence, and a PAB file holds one",
+            where="samples",
+            todo="write a folder of files, with analysis.formats.pab.write_folder",
+        )
+    path.write_text(texts[0], encoding="utf-8", newline="\n")
+
+
+def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
+    """Write a file for each direction of incidence, as `pabopto2bsdf` takes them.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Samples of one channel, of X, Y, Z, or of R, G, B, which is taken as linear sRGB. Incidences closer
+        than 0.1 deg are one.
+    folder : Path
+        Made if it is not there.
+
+    Returns
+    -------
+    list of Path
+        The files, by polar angle and azimuth of the light.
+
+    Raises
+    ------
+    BadInput
+        As `write`.
+    """
+    texts = _texts(samples)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"incidence-{index:03d}.pab" for index in range(1, len(texts) + 1)]
+    for path, text in zip(paths, texts, strict=True):
+        with whole_file(path) as file:
+            file.write_text(text, encoding="utf-8", newline="\n")
+    return paths
+
+
+def _texts(samples: xr.Dataset) -> list[str]:
+    given = usable(samples)
+    colour, values = _colour([str(name) for name in samples["channel"].to_numpy()], given.f_r)
+    theta_i, phi_i = (np.degrees(angle) for angle in direction_to_spherical(given.wi))
+    theta_o, phi_o = (np.degrees(angle) for angle in direction_to_spherical(given.wo))
+    phi_i = np.where(theta_i < SAME_INCIDENCE_DEG, 0.0, phi_i % 360.0)
+    steps = np.round(np.stack([theta_i, phi_i], -1) / SAME_INCIDENCE_DEG).astype(int)
+    source = re.sub(r"[^ -!#-~]", "_", str(samples.attrs.get("source", ""))) or "sample"
+    texts = []
+    for step in np.unique(steps, axis=0):
+        rows = np.flatnonzero((steps == step).all(-1))
+        head = [
+            f'#sample_name "{source}"',
+            "#format: theta phi BSDF",
+            f"#intheta {theta_i[rows].mean():.6g}",
+            f"#inphi {phi_i[rows].mean():.6g}",
+            "#upphi 90",
+            *([f"#colorimetry: {colour}"] if colour else []),
+        ]
+        body = [
+            " ".join([f"{theta_o[row]:.6f} {phi_o[row] % 360.0:.6f}", *(f"{v:.9g}" for v in values[row])])
+            for row in rows
+        ]
+        texts.append("\n".join([*head, *body]) + "\n")
+    return texts
+
+
+def _colour(channels: list[str], f_r: Array) -> tuple[str, Array]:
+    """Return the name of the colorimetry, empty where there is none, and the values to write."""
+    if len(channels) == 1:
+        return "", f_r
+    if channels == COLOURS["cie-xyz"]:
+        return "CIE-XYZ", f_r
+    if channels == ["R", "G", "B"]:
+        return "CIE-XYZ", f_r @ SRGB_TO_XYZ.T
+    raise BadInput(
+        f"channels {', '.join(channels[:4])}{', ...' if len(channels) > 4 else ''}",
+        where="samples",
+        todo="choose one channel, or X, Y, Z: this format holds no others",
+    )
+
+
+def _blocks(path: Path) -> list[_Block]:
+    blocks: list[_Block] = []
+    in_header = False
+    for line, text in enumerate(read_lines(path), start=1):
+        if text.startswith("#"):
+            if not in_header:
+                blocks.append(_Block({}, [], line))
+            in_header = True
+            entry = _ENTRY.match(text)
+            if entry:
+                blocks[-1].header[entry[1].lower()] = entry[2].strip()
+        elif text.strip():
+            if not blocks:
+                raise BadInput("starts without a header", where=f"{path}: line {line}", todo="copy it again")
+            in_header = False
+            blocks[-1].rows.append((line, text.split()))
+    return blocks
+
+
+def _parse(block: _Block, path: Path) -> tuple[Array, Array, Array, NDArray[np.int64], list[str]]:
+    """Return directions, values, flags and names of channels."""
+    where = f"{path}: line {block.line}"
+    cosine = _with_cosine(block.header, where)
+    theta_i, phi_i = _incidence(block.header, where)
+    if not block.rows:
+        raise BadInput("no samples follow the header", where=where, todo="copy the file again")
+    colour = block.header.get("colorimetry", "").lower()
+    names = COLOURS.get(colour) or [str(i) for i in range(len(block.rows[0][1]) - 2)]
+    width = 2 + len(names)
+    for line, words in block.rows:
+        if len(words) != width or width < 3:
+            raise BadInput(
+                f"has {len(words)} columns, not {max(width, 3)}",
+                where=f"{path}: line {line}",
+                todo="correct or remove the row",
+            )
+    table = np.array(
+        [
+            [number(word, where=f"{path}: line {line}, column {c}") for c, word in enumerate(words, start=1)]
+            for line, words in block.rows
+        ]
+    )
+    wrong = np.flatnonzero((table[:, 0] < 0.0) | (table[:, 0] > 180.0))
+    if wrong.size:
+        raise BadInput(
+            f"{table[wrong[0], 0]:g} is not a polar angle from 0 to 180 deg",
+            where=f"{path}: line {block.rows[wrong[0]][0]}, column 1",
+            todo="this format holds degrees",
+        )
+    wo = spherical_to_direction(np.radians(table[:, 0]), np.radians(table[:, 1]))
+    wi = np.broadcast_to(spherical_to_direction(np.radians(theta_i), np.radians(phi_i)), wo.shape)
+    values, flags = table[:, 2:], np.zeros(table[:, 2:].shape, dtype=np.int64)
+    if cosine:
+        height = np.abs(wo[:, 2:])
+        grazing = np.broadcast_to(height < LOWEST_COSINE, values.shape)
+        values = np.where(grazing, np.nan, values / np.maximum(height, LOWEST_COSINE))
+        flags = np.where(grazing, NEAR_GRAZING, 0)
+    return wi, wo, values, flags, names
+
+
+def _with_cosine(header: dict[str, str], where: str) -> bool:
+    kind = header.get("format", "").lower().split()[-1:]
+    if kind and kind[0] in {WITH_COSINE, *WITHOUT_COSINE}:
+        return kind[0] == WITH_COSINE
+    raise BadInput(
+        "the header does not say what the values are",
+        where=where,
+        todo="write #format: theta phi BSDF, or DSF where they are times the cosine",
+    )
+
+
+def _incidence(header: dict[str, str], where: str) -> tuple[float, float]:
+    words = header.get("incident_angle", "").split()
+    if "intheta" in header and "inphi" in header:
+        words = [header["intheta"], header["inphi"]]
+    if len(words) != 2:
+        raise BadInput("the header lacks the incidence", where=where, todo="write #intheta and #inphi")
+    theta, phi = (number(word, where=f"{where}, incidence") for word in words)
+    if not 0.0 <= theta <= 180.0:
+        raise BadInput(f"{theta:g} is not a polar angle of incidence", where=where, todo="correct #intheta")
+    return theta, phi
