@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,16 @@ NAME = "NumPy .npz of wi, wo, f_r"
 OPTIONS: tuple[str, ...] = ()
 ARRAYS = ("wi", "wo", "f_r", "u_f_r")
 MOST_BYTES = 4 * 1024**3
-_DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError, SyntaxError)
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    SyntaxError,
+    tokenize.TokenError,  # numpy's, of a damaged header
+)
 
 
 def sniff(head: bytes) -> bool:

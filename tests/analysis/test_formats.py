@@ -200,6 +200,17 @@ def test_npz_does_not_unpickle(tmp_path):
         read(path)
 
 
+@pytest.mark.parametrize("header", [b"{'descr':)", b"{'descr': (", b"{'descr': [1"])
+def test_npz_with_a_damaged_header(tmp_path, header):
+    """Catches numpy's parser, which complains about a damaged header in ways of its own."""
+    path = tmp_path / "samples.npz"
+    text = header.ljust(117) + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("wi.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+    with pytest.raises(BadInput, match="not a whole"):
+        read(path)
+
+
 def test_npz_bomb(tmp_path):
     """Catches an archive of a few kilobytes that unpacks to gigabytes."""
     path = tmp_path / "bomb.npz"
