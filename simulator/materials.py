@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput
-from simulator.bsdfs import PLUGIN
+from simulator.bsdfs import LOBES, PLUGIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,8 +64,25 @@ class ClosedFormMaterial:
 
         return MODELS[self.model](**self.parameters)
 
+    @property
+    def rendered(self) -> bool:
+        """Whether Mitsuba can render it: `analysis.models` has more models than `simulator.bsdfs`."""
+        return self.model == "lambert" or self.model in LOBES
+
     def plugin(self) -> dict[str, Any]:
-        """Return the description that Mitsuba loads once `simulator.bsdfs` is registered."""
+        """Return the description that Mitsuba loads once `simulator.bsdfs` is registered.
+
+        Raises
+        ------
+        BadInput
+            If Mitsuba cannot render the model.
+        """
+        if not self.rendered:
+            raise BadInput(
+                f"{self.model} is fitted and evaluated, but not rendered",
+                where=self.spec,
+                todo=f"choose from lambert, {', '.join(LOBES)}, or a BSDF of Mitsuba's",
+            )
         if self.model == "lambert":
             return {"type": "diffuse", "reflectance": {"type": "rgb", "value": self.truth["kd"]}}
         return {"type": PLUGIN, "model": self.model, **_flat(self.truth)}
@@ -144,9 +161,11 @@ def parse_material(spec: str | Material) -> Material:
 
 
 def _closed_form(spec: str, kind: str, rest: str) -> ClosedFormMaterial:
-    return closed_form_material(
-        kind, {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}, spec
-    )
+    values = {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}
+    material = closed_form_material(kind, values, spec)
+    # A line is there to be rendered: say now what cannot be, not when the first frame is due.
+    material.plugin()
+    return material
 
 
 def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str = "") -> ClosedFormMaterial:

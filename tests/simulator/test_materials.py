@@ -69,6 +69,7 @@ def test_a_mitsuba_line_becomes_a_description() -> None:
         ("lambert:kd=-0.1", "below 0"),
         ("phong:kd=0.1,ks=0.1,exponnent=3", "did you mean exponent"),
         ("cook-torrance:kd=0.1,ks=0.1,m=0.2,ior=0.5", "below 1"),
+        ("ggx:kd=0.1,ks=0.5,alpha=0.2,f0=0.04", "not rendered"),
         ("mitsuba:", "roughconductor"),
         ("bsdf:no/such.bsdf", "No such file"),
         ("", "known kinds"),

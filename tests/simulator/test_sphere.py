@@ -47,3 +47,11 @@ def test_a_fits_parameters_are_drawn() -> None:
     np.testing.assert_allclose(picture[0, 0], 0.5)
     with pytest.raises(BadInput, match="phong needs exponent"):
         render_sphere("phong", 32, parameters={"kd": 0.1, "ks": 0.1}, variant="scalar")
+
+
+def test_a_fit_that_mitsuba_does_not_know_is_drawn_by_its_formula() -> None:
+    """Would catch a report that fails, or shows another model, once the fit knows more than the twin."""
+    shape = {"kd": [0.2, 0.1, 0.05], "ks": 0.5, "alpha": 0.2, "f0": 0.04}
+    picture = render_sphere("ggx", 24, parameters=shape, variant="scalar")
+    assert picture.max() > 0.1
+    assert picture[12, 12, 0] > 1.5 * picture[12, 12, 2]
