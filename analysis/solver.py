@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STARTS = 4
+STARTS = 5
 """Basins of the scan that are followed to their bottom."""
 SCANNED, FEW = 300, 800
 """Samples that the scan, and the search from its best points, make do with."""
+SPARSE = 2000
+"""Fewer samples than this may be a coarse grid, where each matters: all are scanned."""
 REWEIGHTED = 3
 """Times that the scan solves for scales under a loss that is not linear in f."""
 RIVAL = 1.5
@@ -76,11 +78,34 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     if start is not None:
         return _refine(whole, [start], TOLERANCE)[0]
     few = _some(problem, loss, FEW)
-    candidates = _distinct(_refine(few, _scan(_some(problem, loss, SCANNED)), ROUGH_TOLERANCE))
+    sparse = len(problem.geometry.wi) <= SPARSE
+    scanned = _some(problem, loss, SPARSE if sparse else SCANNED)
+    candidates = _distinct(_refine(few, _scan(scanned), ROUGH_TOLERANCE))
     rivals = [each for each in candidates if each.cost <= RIVAL * candidates[0].cost]
     if len(rivals) > 1:
         rivals = _refine(whole, rivals, ROUGH_TOLERANCE)
     return _refine(whole, rivals[:1], TOLERANCE)[0]
+
+
+def follow(problem: Problem, loss: Loss, shapes: Array) -> list[Solution]:
+    """Follow given shapes to the bottom, on all samples and to the last digit.
+
+    Parameters
+    ----------
+    problem, loss : Problem, Loss
+        As in `minimise`.
+    shapes : ndarray, shape (M, S)
+        Starts in search coordinates; scales start where a linear loss puts them.
+
+    Returns
+    -------
+    list of Solution
+        The M minima, best first.
+    """
+    whole = Linearised(problem, loss.by_channel())
+    kd, ks = whole.linear_scales(problem.lobes(shapes)[0])
+    starts = [Solution(shapes[i], kd[i], ks[i], np.inf) for i in range(len(shapes))]
+    return _refine(whole, starts, TOLERANCE)
 
 
 def _some(problem: Problem, loss: Loss, count: int) -> Linearised:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.bootstrap import bootstrap
 from analysis.fit import fit
 from analysis.models import MODELS
 from analysis.models.base import Coordinate, Geometry, Kind
@@ -29,15 +30,12 @@ if TYPE_CHECKING:
 
     from analysis.models.base import Model, Parameter
 
-Array = Any
-
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-COMPARED = (
-    "blinn-phong", "ward-duer", "cook-torrance", "cook-torrance-schlick", "ggx"
-)  # fmt: skip
+COMPARED = ("blinn-phong", "ward-duer", "cook-torrance", "cook-torrance-schlick", "ggx")
 BARS = {"ggx": 0.0280, "cook-torrance-schlick": 0.0330}
 """Median RMS of ln(1 + f cos) over the materials."""
 SPEED_BAR = 10.0
+BOOTSTRAP_SAMPLES, BOOTSTRAP_REPLICAS, BOOTSTRAP_BAR = 2500, 1000, 300.0
 PLAIN_STARTS = (0.02, 0.08, 0.25, 0.6)
 """Widths of the lobe, as slopes, from which the plain fit starts."""
 
@@ -113,13 +111,26 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     """Measure and compare; see the module."""
     sets = list(materials().values())
     rows, points = [], []
-    for name in (name for name in COMPARED if name in MODELS):
+    for name in COMPARED:
         ours, plain = side_by_side(sets, name)
         rows += _compared(name, ours, plain)
         points += [(f"{name}, gonio", ours), (f"{name}, plain", plain)]
     if plots is not None:
         _plot(plots / "fit.png", points)
-    return rows
+    return [*rows, *_replicas(sets[0])]
+
+
+def _replicas(samples: xr.Dataset) -> list[dict[str, Any]]:
+    """Cost of converged bootstrap replicas of one fit."""
+    every = np.linspace(0, samples.sizes["sample"] - 1, BOOTSTRAP_SAMPLES).astype(int)
+    few = samples.isel(sample=every, channel=[1])
+    result = fit(few, "ggx", loss="log")
+    one = min(our_fit(few, "ggx").seconds for _ in range(5))
+    begin = time.process_time()
+    bootstrap(result, BOOTSTRAP_REPLICAS)
+    cost = (time.process_time() - begin) / one
+    label = f"{BOOTSTRAP_REPLICAS} replicas of {BOOTSTRAP_SAMPLES} samples over one fit"
+    return [_row(label, cost, "x", BOOTSTRAP_BAR)]
 
 
 def _compared(name: str, ours: list[Outcome], plain: list[Outcome]) -> list[dict[str, Any]]:
