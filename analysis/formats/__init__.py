@@ -23,6 +23,7 @@ NAMES = (
     "rgl",
     "merl",
     "pab",
+    "klems",
     "rt300s",
     "npz",
     "inplane",
