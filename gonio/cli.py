@@ -31,6 +31,7 @@ COMMANDS: dict[str, str] = {
     "merge": "RAW brackets to radiance with variance",
     "reduce": "a session to BRDF samples with uncertainty",
     "fit": "reflectance models to samples of any laboratory",
+    "check": "samples of any laboratory: reciprocity, energy, symmetry, noise",
     "report": "a session's page: coverage, lobes, parameters",
     "bench": "time against error, from a checkout",
 }

@@ -1,0 +1,144 @@
+"""Checks of samples: each finds the defect it is for, and passes without it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from analysis.checks import Verdict, check, worst
+from analysis.samples import make_samples, read
+from rig.angles import mirror, spherical_to_direction
+
+MATERIALS = (
+    "Alu sandgestrahlt",
+    "Edelstahl gebürstet",
+    "Kupfer",
+    "Referenzlack (Glatt)",
+    "Referenzlack (Rau)",
+    "Verzinkter Stahl",
+)
+
+
+def _grid(step_phi=30.0):
+    theta = np.arange(5.0, 86.0, 10.0)
+    phi = np.arange(0.0, 360.0, step_phi)
+    theta_i, theta_o, phi_o = (np.radians(axis.ravel()) for axis in np.meshgrid(theta, theta, phi))
+    return spherical_to_direction(theta_i, np.pi), spherical_to_direction(theta_o, phi_o)
+
+
+def _value(wi, wo):
+    """Return a reciprocal lobe about the mirror direction, nowhere constant."""
+    return 0.05 + 0.2 * np.exp(3.0 * (np.sum(mirror(wi) * wo, axis=1) - 1.0))
+
+
+def _found(samples, name):
+    return next(finding for finding in check(samples) if finding.name == name)
+
+
+def test_a_good_sample_passes():
+    """Catches false alarms: an exact reciprocal, energy-conserving model on a grid."""
+    wi, wo = _grid()
+    findings = check(make_samples(wi, wo, _value(wi, wo), u_f_r=np.full(len(wi), 1e-3)))
+    assert worst(findings) is Verdict.PASS
+    by_name = {finding.name: finding for finding in findings}
+    assert by_name["reciprocity"].value < 1e-9
+    assert by_name["reciprocity"].count > 100
+    assert by_name["mirror symmetry"].verdict is Verdict.PASS
+    assert by_name["noise"].value < 1e-6
+
+
+@pytest.mark.parametrize(("power", "hint"), [(1, "cos.* inside"), (-1, "divided by cos")])
+def test_a_cosine_breaks_reciprocity(power, hint):
+    """Catches a cosine that goes unnamed."""
+    wi, wo = _grid()
+    finding = _found(make_samples(wi, wo, _value(wi, wo) * wo[:, 2] ** power), "reciprocity")
+    assert finding.verdict is Verdict.FAIL
+    assert re.search(hint, finding.meaning)
+    assert "without it 0.0%" in finding.meaning
+
+
+def test_energy_of_a_diffuser():
+    """Catches a wrong projected solid angle: albedo 0.9 passes with its number, 1.2 fails, a gap is said."""
+    wi, wo = _grid()
+    ninety = _found(make_samples(wi, wo, np.full(len(wi), 0.9 / np.pi)), "energy")
+    # 85 deg is the outermost ring, and 12 chords stand for each circle.
+    assert ninety.value == pytest.approx(0.9 * 12 / (2 * np.pi) * np.sin(np.pi / 6), rel=0.02)
+    assert ninety.verdict is Verdict.PASS
+    assert "95%" in ninety.quantity
+    assert _found(make_samples(wi, wo, np.full(len(wi), 1.2 / np.pi)), "energy").verdict is Verdict.FAIL
+    near = wo[:, 2] > 0.8
+    narrow = _found(make_samples(wi[near], wo[near], np.full(near.sum(), 9.0)), "energy")
+    assert narrow.verdict is Verdict.NOT_TESTED
+    assert "no albedo" in narrow.meaning
+
+
+def test_symmetries():
+    """Catches an azimuth's offset and an anisotropic sample that pass."""
+    wi, wo = _grid()
+    turned = wo @ np.array([[0.94, 0.342, 0], [-0.342, 0.94, 0], [0, 0, 1]])
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    sharp = np.exp(8.0 * np.sum(wi * [-1, -1, 1] * turned, axis=1))
+    assert _found(make_samples(wi, wo, sharp), "mirror symmetry").verdict is Verdict.FAIL
+    stage = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    both = np.concatenate([wi, wi @ stage.T]), np.concatenate([wo, wo @ stage.T])
+    same = np.concatenate([_value(wi, wo)] * 2)
+    assert _found(make_samples(*both, same), "isotropy").verdict is Verdict.PASS
+    brushed = same * np.repeat([1.0, 1.5], len(wi))
+    finding = _found(make_samples(*both, brushed), "isotropy")
+    assert finding.verdict is Verdict.WARN
+    assert finding.value == pytest.approx(1.0 / 3.0)
+
+
+def test_rows():
+    """Catches copies, bad repeats, negatives and floors that go unnoticed, each with its share."""
+    wi, wo = _grid()
+    value = _value(wi, wo)
+    twice = np.concatenate([wi, wi[:50]]), np.concatenate([wo, wo[:50]])
+    copied = make_samples(*twice, np.concatenate([value, value[:50]]))
+    assert _found(copied, "duplicates").count == 50
+    repeated = make_samples(*twice, np.concatenate([value, value[:50] * 1.1]))
+    assert _found(repeated, "duplicates").verdict is Verdict.PASS
+    assert _found(repeated, "repeatability").value == pytest.approx(1.0 - 1.0 / 1.1)
+    low = value - np.quantile(value, 0.05)
+    assert _found(make_samples(wi, wo, low), "negatives").value == pytest.approx(0.05, abs=0.005)
+    clipped = _found(make_samples(wi, wo, np.maximum(low, 0.0)), "clipped values")
+    assert clipped.value == pytest.approx(0.05, abs=0.005)
+    assert clipped.verdict is Verdict.WARN
+
+
+def test_noise_against_the_stated_uncertainty():
+    """Catches an uncertainty that is ten times too small."""
+    wi, wo = _grid()
+    noisy = _value(wi, wo) + 0.01 * np.random.default_rng(0).standard_normal(len(wi))
+    honest = _found(make_samples(wi, wo, noisy, u_f_r=np.full(len(wi), 0.01)), "noise")
+    assert honest.value == pytest.approx(1.0, rel=0.15)
+    small = _found(make_samples(wi, wo, noisy, u_f_r=np.full(len(wi), 0.001)), "noise")
+    assert small.verdict is Verdict.FAIL
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_few_samples(count):
+    """Catches a traceback where there is next to nothing, or nothing usable, to check."""
+    wi, wo = _grid()
+    samples = make_samples(wi[:count], wo[:count], np.full(count, 0.1))
+    assert worst(check(samples)) is not Verdict.FAIL
+    samples["flags"][:] = 1
+    assert worst(check(samples)) is not Verdict.FAIL
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("material", MATERIALS)
+def test_the_published_cosine_is_found(shared_data, material):
+    """Catches that the mid-infrared instrument's published formula passes, or that its cure does not show."""
+    path = shared_data / "mwir" / "radiance.csv"
+    published = _found(read(path, material=material, as_published=True), "reciprocity")
+    assert published.verdict is Verdict.FAIL
+    assert 0.38 < published.value < 0.48
+    assert "cos(theta_o) seems to be inside" in published.meaning
+    cured = _found(read(path, material=material), "reciprocity")
+    assert cured.verdict is not Verdict.FAIL
+    assert cured.value < 0.5 * published.value
+    if "Glatt" not in material and "Stahl" not in material:
+        assert cured.value < 0.102
