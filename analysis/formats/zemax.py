@@ -6,8 +6,9 @@ count and so many degrees), then for each channel `DataBegin`, and for each samp
 
 The radial angle is counted from the mirror direction, the azimuth around it from the direction in the plane
 of incidence that leads to the normal (and, beyond it, to the light); in plane-symmetric files 0 to 180 stands
-for both sides. Cells below the horizon belong to no sample and are dropped. The format has no mark for
-"not measured": laboratories write 0, so a cell of exactly 0 is flagged.
+for both sides. Cells below the horizon belong to no sample and are dropped, and so are all but the first of
+the cells at a radial angle of 0, which are one direction. The format has no mark for "not measured":
+laboratories write 0, so a cell of exactly 0 is flagged.
 """
 
 from __future__ import annotations
@@ -102,7 +103,9 @@ def read(path: Path) -> xr.Dataset:
     )
     wo = _turned(directions(incidence, azimuth, radial), rotation)
     wi = spherical_to_direction(incidence, rotation)
-    above = wo[:, 2] > HORIZON
+    # A radial angle of 0 is one direction, repeated in the row of each azimuth.
+    repeated = np.broadcast_to((np.arange(shape[2])[:, None] > 0) & (grid.radial_deg == 0.0), shape)
+    above = (wo[:, 2] > HORIZON) & ~repeated.ravel()
     cells = values.reshape(-1, len(names))[above]
     return make_samples(
         wi[above],

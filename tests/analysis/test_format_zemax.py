@@ -71,13 +71,13 @@ def test_fred(save, ends):
 def test_zemax_geometry(save):
     """Catches azimuths counted from the wrong side and cells below the horizon taken for samples."""
     samples = read(save(ZEMAX))
-    np.testing.assert_array_equal(samples["f_r"][:, 0], [0.5, 0.25, 0.5, 0.125, 0.75, 0.0, 0.75, 0.0625])
+    np.testing.assert_array_equal(samples["f_r"][:, 0], [0.5, 0.25, 0.125, 0.75, 0.0, 0.0625])
     np.testing.assert_allclose(samples["wo"][0], mirror(samples["wi"].to_numpy()[0]), atol=1e-15)
     # From 10 deg, 30 deg towards the normal ends 20 deg beyond it, on the light's side.
     np.testing.assert_allclose(samples["wo"][1], spherical_to_direction(np.radians(20.0), 0.0), atol=1e-15)
-    np.testing.assert_allclose(samples["wo"][3], spherical_to_direction(np.radians(40.0), np.pi), atol=1e-12)
-    np.testing.assert_array_equal(samples["flags"][:, 0] != 0, [0, 0, 0, 0, 0, 1, 0, 0])
-    assert read(save(ZEMAX.replace("0 30\n", "0 60\n"))).sizes["sample"] == 7
+    np.testing.assert_allclose(samples["wo"][2], spherical_to_direction(np.radians(40.0), np.pi), atol=1e-12)
+    np.testing.assert_array_equal(samples["flags"][:, 0] != 0, [0, 0, 0, 0, 1, 0])
+    assert read(save(ZEMAX.replace("0 30\n", "0 60\n"))).sizes["sample"] == 5
 
 
 def test_zemax_rotation_and_tristimulus(save):
@@ -94,11 +94,11 @@ def test_zemax_rotation_and_tristimulus(save):
         "DataEnd", "TIS 0 9 8 7 6 TIS 0 5 4 3 2 DataEnd"
     )
     samples = read(save(turned))
-    np.testing.assert_array_equal(samples["f_r"][8:, 0], [9, 8, 7, 6, 5, 4, 3, 2])
+    np.testing.assert_array_equal(samples["f_r"][6:, 0], [9, 8, 6, 5, 4, 2])
     np.testing.assert_allclose(
-        samples["wi"][8], spherical_to_direction(np.radians(10.0), np.pi / 2), atol=1e-15
+        samples["wi"][6], spherical_to_direction(np.radians(10.0), np.pi / 2), atol=1e-15
     )
-    np.testing.assert_allclose(samples["wo"][8], mirror(samples["wi"].to_numpy()[8]), atol=1e-15)
+    np.testing.assert_allclose(samples["wo"][6], mirror(samples["wi"].to_numpy()[6]), atol=1e-15)
 
 
 @pytest.mark.realdata
@@ -119,8 +119,10 @@ def test_published_pair(shared_data, name):
             ratios.append(
                 float(specular["f_r"][index, 0] / plain["f_r"].to_numpy()[alike][distance.argmin(), 0])
             )
-    assert len(ratios) > 250
-    assert np.median(ratios) == pytest.approx(1.0, abs=2e-3)
+    assert len(ratios) > 150
+    # The mirror-relative file had its maximum moved and was interpolated.
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.04)
+    # With the azimuth counted from the other side this is 0.43 and 0.50.
     assert np.quantile(np.abs(np.array(ratios) - 1.0), 0.8) < 0.15
 
 
