@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike, NDArray
 
+    from analysis.formats.scattered import Loss
+
 CONVENTIONS = (
     "wi points to the light, wo to the camera; unit vectors away from the surface in the sample frame: "
     "right-handed, +z the normal, +x towards the mark; uncertainties are standard (k = 1)"
@@ -229,8 +231,13 @@ def read(path: str | Path, **options: Any) -> xr.Dataset:
     return formats.read(Path(path), options)
 
 
-def write(samples: xr.Dataset, path: str | Path) -> None:
-    """Write samples: NetCDF to `.nc`, CSV (without the correlated columns) to `.csv`.
+def write(samples: xr.Dataset, path: str | Path) -> Loss | None:
+    """Write samples: NetCDF to `.nc`, CSV (without the correlated columns) to `.csv`, others by their suffix.
+
+    Returns
+    -------
+    Loss or None
+        What interpolating onto the format's grid lost; None where the samples are written as they are.
 
     Raises
     ------
@@ -239,7 +246,7 @@ def write(samples: xr.Dataset, path: str | Path) -> None:
     """
     from analysis import formats
 
-    formats.write(samples, Path(path))
+    return formats.write(samples, Path(path))
 
 
 def select(

@@ -1,7 +1,7 @@
 """The formats that samples come in, told apart by content: a suffix is a wish, not a fact.
 
 Each module offers `NAME`, `OPTIONS`, `sniff(head) -> bool` and `read(path, ...) -> Dataset`; some also
-`SUFFIX` and `write(samples, path)`.
+`SUFFIX` and `write(samples, path)`, which returns the loss where the format needs samples elsewhere.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     import xarray as xr
+
+    from analysis.formats.scattered import Loss
 
 NAMES = (
     "netcdf",
@@ -70,8 +72,13 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
     return samples
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss | None:
     """Write samples in the format that the name's end asks for; see `analysis.samples.write`.
+
+    Returns
+    -------
+    Loss or None
+        What interpolating onto the format's grid lost; None where the samples are written as they are.
 
     Raises
     ------
@@ -82,7 +89,8 @@ def write(samples: xr.Dataset, path: Path) -> None:
     """
     writer = require_writer(path)
     with whole_file(path) as file:
-        writer.write(samples, file)
+        loss: Loss | None = writer.write(samples, file)
+    return loss
 
 
 def require_writer(path: Path) -> ModuleType:
