@@ -21,7 +21,7 @@ from analysis.bootstrap import bootstrap
 from analysis.fit import fit
 from analysis.models import MODELS
 from analysis.models.base import Coordinate, Geometry, Kind
-from analysis.samples import read
+from analysis.samples import read, select
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 COMPARED = ("blinn-phong", "ward-duer", "cook-torrance", "cook-torrance-schlick", "ggx")
 BARS = {"ggx": 0.0280, "cook-torrance-schlick": 0.0330}
 """Median RMS of ln(1 + f cos) over the materials."""
+PAINT_BARS = {"ggx": 0.0055, "cook-torrance": 0.0104}
 SPEED_BAR = 10.0
 BOOTSTRAP_SAMPLES, BOOTSTRAP_REPLICAS, BOOTSTRAP_BAR = 2500, 1000, 300.0
 PLAIN_STARTS = (0.02, 0.08, 0.25, 0.6)
@@ -117,7 +118,16 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
         points += [(f"{name}, gonio", ours), (f"{name}, plain", plain)]
     if plots is not None:
         _plot(plots / "fit.png", points)
-    return [*rows, *_replicas(sets[0])]
+    return [*rows, *_paint(), *_replicas(sets[0])]
+
+
+def _paint() -> list[dict[str, Any]]:
+    """Fit a real paint on a grid of 10 deg, all samples at 550 nm."""
+    samples = select(read(DATA / "cornell" / "garnet_red.brdf"), wavelength_nm=[550.0])
+    return [
+        _row(f"garnet red, {name}: RMS of ln(1 + f cos)", our_fit(samples, name).rms, "", bar)
+        for name, bar in PAINT_BARS.items()
+    ]
 
 
 def _replicas(samples: xr.Dataset) -> list[dict[str, Any]]:
