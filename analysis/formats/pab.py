@@ -121,10 +121,15 @@ def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
     Raises
     ------
     BadInput
-        As `write`.
+        As `write`, or if the folder cannot be made.
     """
     texts = _texts(samples)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(
+            f"cannot be made: {error.strerror}", where=str(folder), todo="choose another folder"
+        ) from None
     paths = [folder / f"incidence-{index:03d}.pab" for index in range(1, len(texts) + 1)]
     for path, text in zip(paths, texts, strict=True):
         with whole_file(path) as file:

@@ -94,6 +94,8 @@ def test_one_file_holds_one_incidence(tmp_path):
         write(paint([0.0, 40.0]), tmp_path / "paint.pab")
     write(paint([40.0]), tmp_path / "paint.pab")
     assert read(tmp_path / "paint.pab").sizes["sample"] == 18 * 36
+    with pytest.raises(BadInput, match="cannot be made"):
+        pab.write_folder(paint([40.0]), tmp_path / "paint.pab")
 
 
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
