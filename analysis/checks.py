@@ -10,24 +10,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.angles import direction_to_spherical, spherical_to_direction, wrap
+from analysis.pairing import (
+    FEWEST_PAIRS,
+    SAME_RAD,
+    Array,
+    Indices,
+    Pairs,
+    Usable,
+    incidences,
+    isotropic_key,
+    once,
+    paired_by,
+    reciprocal_pairs,
+    usable_samples,
+    within_reach,
+)
+from rig.angles import spherical_to_direction, wrap
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-
-LARGEST_THETA = np.radians(85.0)
-SAME_RAD = np.radians(0.5)
 COPY_RAD = 1e-6
-FEWEST_PAIRS = 10
-INCIDENCE_BIN_DEG = 5.0
 LARGEST_INCIDENCE_DEG = 75.0
 """Beyond it a mirror peak is cut by the horizon and an integral means little."""
 SINGLE_SAMPLE = 0.1
@@ -77,28 +84,6 @@ class Finding:
     where: str = ""
 
 
-class Usable(NamedTuple):
-    """Samples without flags: directions, values (N, C), uncertainties or None, and angles in radians."""
-
-    wi: Array
-    wo: Array
-    f_r: Array
-    u: Array | None
-    theta_i: Array
-    theta_o: Array
-    phi_i: Array
-    turn: Array
-    """Azimuth of view less that of the light, in (-pi, pi]."""
-
-
-class Pairs(NamedTuple):
-    """Indices of paired samples; `strict` where no isotropy was assumed."""
-
-    first: Indices
-    second: Indices
-    strict: bool
-
-
 def check(samples: xr.Dataset) -> list[Finding]:
     """Run every check.
 
@@ -112,8 +97,8 @@ def check(samples: xr.Dataset) -> list[Finding]:
     list of Finding
         One for each check, in a fixed order.
     """
-    usable = _usable(samples)
-    reciprocal = _reciprocal_pairs(usable)
+    usable = usable_samples(samples)
+    reciprocal = reciprocal_pairs(usable)
     return [
         _reciprocity(usable, reciprocal),
         _energy(usable),
@@ -132,16 +117,6 @@ def worst(findings: list[Finding]) -> Verdict:
     order = [Verdict.PASS, Verdict.NOT_TESTED, Verdict.WARN, Verdict.FAIL]
     gravest = max((finding.verdict for finding in findings), key=order.index, default=Verdict.PASS)
     return Verdict.PASS if gravest is Verdict.NOT_TESTED else gravest
-
-
-def _usable(samples: xr.Dataset) -> Usable:
-    keep = (samples["flags"].to_numpy() == 0).all(axis=1) & np.isfinite(samples["f_r"].to_numpy()).all(axis=1)
-    wi, wo = (samples[name].to_numpy()[keep] for name in ("wi", "wo"))
-    (theta_i, phi_i), (theta_o, phi_o) = direction_to_spherical(wi), direction_to_spherical(wo)
-    u = samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None
-    return Usable(
-        wi, wo, samples["f_r"].to_numpy()[keep], u, theta_i, theta_o, phi_i, np.asarray(wrap(phi_o - phi_i))
-    )
 
 
 def _judged(
@@ -174,54 +149,6 @@ def _median_by_channel(difference: Array) -> float:
     return float(np.median(difference)) if difference.size else float("nan")
 
 
-def _key(theta_i: Array, theta_o: Array, turn: Array) -> Array:
-    """Place geometries of an isotropic sample so that near ones lie near; the light at azimuth 0."""
-    light = np.stack([np.sin(theta_i), np.cos(theta_i)], axis=-1)
-    return np.concatenate([light, spherical_to_direction(theta_o, turn)], axis=-1)
-
-
-def _nearest(known: Array, wanted: Array, within: float) -> tuple[Indices, Indices]:
-    """Return the indices of wanted points that have a known one near, and of that one."""
-    from scipy.spatial import cKDTree
-
-    if not len(known):
-        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    distance, index = cKDTree(known).query(wanted, distance_upper_bound=within)
-    found = np.flatnonzero(np.isfinite(distance))
-    return found, index[found].astype(np.intp)
-
-
-def _once(first: Indices, second: Indices) -> tuple[Indices, Indices]:
-    """Keep each unordered pair of different samples once."""
-    pairs = np.sort(np.stack([first, second], axis=1)[first != second], axis=1)
-    unique = np.unique(pairs, axis=0)
-    return unique[:, 0], unique[:, 1]
-
-
-def _within_reach(usable: Usable, first: Indices, second: Indices) -> NDArray[np.bool_]:
-    largest = np.maximum(usable.theta_i, usable.theta_o)
-    return np.asarray((largest[first] <= LARGEST_THETA + 1e-9) & (largest[second] <= LARGEST_THETA + 1e-9))
-
-
-def _reciprocal_pairs(usable: Usable) -> Pairs:
-    tilted = usable.phi_i[usable.theta_i > SAME_RAD]
-    if tilted.size and np.any(np.abs(wrap(tilted - tilted[0])) > SAME_RAD):
-        known = np.concatenate([usable.wi, usable.wo], axis=1)
-        first, second = _once(*_nearest(known, np.concatenate([usable.wo, usable.wi], axis=1), SAME_RAD))
-        reach = _within_reach(usable, first, second)
-        if np.count_nonzero(reach) >= FEWEST_PAIRS:
-            return Pairs(first[reach], second[reach], strict=True)
-    # Only the relative azimuth counts, and both sides of the plane of incidence are alike.
-    known = _key(usable.theta_i, usable.theta_o, np.abs(usable.turn))
-    wanted = _key(usable.theta_o, usable.theta_i, np.abs(usable.turn))
-    first, second = _once(*_nearest(known, wanted, SAME_RAD))
-    # Near theta_i = theta_o a neighbour on the grid would pass for the partner.
-    reach = _within_reach(usable, first, second) & (
-        np.abs(usable.theta_i - usable.theta_o)[first] > 2.0 * SAME_RAD
-    )
-    return Pairs(first[reach], second[reach], strict=False)
-
-
 def _reciprocity(usable: Usable, pairs: Pairs) -> Finding:
     name, quantity, limits = "reciprocity", "median difference of reciprocal pairs", (0.10, 0.30)
     first, second, strict = pairs
@@ -251,12 +178,6 @@ def _reciprocity(usable: Usable, pairs: Pairs) -> Finding:
 def _place(usable: Usable, index: np.intp | int) -> str:
     theta_i, theta_o, turn = (np.degrees(x[index]) for x in (usable.theta_i, usable.theta_o, usable.turn))
     return f"theta_i {theta_i:.1f}, theta_o {theta_o:.1f}, azimuth between them {turn:.1f} deg"
-
-
-def _incidences(usable: Usable) -> list[tuple[float, Indices]]:
-    """Return the bins of incidence that have samples: the middle angle in degrees, and the samples."""
-    bins = np.round(np.degrees(usable.theta_i) / INCIDENCE_BIN_DEG).astype(np.intp)
-    return [(float(number) * INCIDENCE_BIN_DEG, np.flatnonzero(bins == number)) for number in np.unique(bins)]
 
 
 def _albedo(usable: Usable, chosen: Indices) -> tuple[float, float, float]:
@@ -291,7 +212,7 @@ def _energy(usable: Usable) -> Finding:
     """Compare directional albedo with 1; only what the samples enclose is counted, so it is a lower bound."""
     name, limits = "energy", (1.0, 1.02)
     best, at, coverage, single, covered, tested = -np.inf, 0.0, 0.0, 0.0, 0.0, 0
-    for incidence, chosen in _incidences(usable):
+    for incidence, chosen in incidences(usable):
         if incidence > LARGEST_INCIDENCE_DEG or len(chosen) < 4:
             continue
         albedo, share, hanging = _albedo(usable, chosen)
@@ -311,21 +232,6 @@ def _energy(usable: Usable) -> Finding:
         return Finding(name, quantity, best, *limits, tested, Verdict.WARN, why, place)
     meaning = "more light leaves than arrives: the scale, the reference or a cosine is wrong"
     return _judged(name, quantity, best, limits, tested, meaning=meaning, where=place)
-
-
-def _paired_by(
-    usable: Usable, turn: Array, chosen: NDArray[np.bool_], *, apart: float = 0.0
-) -> tuple[Indices, Indices]:
-    """Pair samples with those of the same polar angles whose relative azimuth is `turn`."""
-    known = _key(usable.theta_i, usable.theta_o, usable.turn)
-    wanted = _key(usable.theta_i, usable.theta_o, turn)
-    inside = np.flatnonzero(chosen)
-    found, index = _nearest(known, wanted[inside], SAME_RAD)
-    first, second = _once(inside[found].astype(np.intp), index)
-    keep = _within_reach(usable, first, second)
-    if apart:
-        keep &= np.abs(wrap(usable.phi_i[first] - usable.phi_i[second])) > apart
-    return first[keep], second[keep]
 
 
 def _compared(
@@ -356,7 +262,7 @@ def _mirror_symmetry(usable: Usable) -> Finding:
         "median difference across the plane of incidence",
         (0.10, 0.30),
         usable,
-        _paired_by(usable, -usable.turn, aside),
+        paired_by(usable, -usable.turn, aside),
         meaning="the sample is tilted or anisotropic, or the azimuth has an offset",
         why_not="too few samples on both sides of the plane of incidence",
     )
@@ -366,7 +272,7 @@ def _isotropy(usable: Usable) -> Finding:
     """Compare geometries that differ by a turn of the sample only."""
     from scipy.spatial import cKDTree
 
-    key = _key(usable.theta_i, usable.theta_o, usable.turn)
+    key = isotropic_key(usable.theta_i, usable.theta_o, usable.turn)
     away = np.minimum(usable.theta_i, usable.theta_o) > np.radians(2.0)
     inside = np.flatnonzero(away)
     neighbours = min(8, len(inside))
@@ -376,8 +282,8 @@ def _isotropy(usable: Usable) -> Finding:
             key[inside], k=neighbours, distance_upper_bound=SAME_RAD, workers=1
         )
         row, column = np.nonzero(index[:, 1:] < len(inside))
-        first, second = _once(inside[row], inside[index[:, 1:][row, column]])
-        keep = _within_reach(usable, first, second)
+        first, second = once(inside[row], inside[index[:, 1:][row, column]])
+        keep = within_reach(usable, first, second)
         keep &= np.abs(wrap(usable.phi_i[first] - usable.phi_i[second])) > np.radians(5.0)
         pairs = first[keep], second[keep]
     return _compared(
@@ -400,7 +306,7 @@ def _repeats(usable: Usable) -> tuple[Finding, Finding]:
         directions = np.concatenate([usable.wi, usable.wo], axis=1)
         distance, index = cKDTree(directions).query(directions, k=2)
         near = np.flatnonzero(distance[:, 1] <= COPY_RAD)
-        pairs = np.stack(_once(near, index[near, 1].astype(np.intp)), axis=1)
+        pairs = np.stack(once(near, index[near, 1].astype(np.intp)), axis=1)
     same = (usable.f_r[pairs[:, 0]] == usable.f_r[pairs[:, 1]]).all(axis=1)
     copies, repeats = pairs[same], pairs[~same]
     share = len(copies) / max(len(usable.wi), 1)
@@ -473,7 +379,7 @@ def _coverage(usable: Usable) -> Finding:
     theta, turn = np.meshgrid(np.radians(np.arange(0.0, 81.0, 4.0)), np.radians(np.arange(0.0, 181.0, 6.0)))
     wanted = spherical_to_direction(theta.ravel(), turn.ravel())
     smallest, place = np.inf, ""
-    for incidence, chosen in _incidences(usable):
+    for incidence, chosen in incidences(usable):
         views = spherical_to_direction(usable.theta_o[chosen], np.abs(usable.turn[chosen]))
         distance, _ = cKDTree(views).query(wanted)
         hole = int(np.argmax(distance))
