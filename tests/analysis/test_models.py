@@ -332,7 +332,7 @@ def test_parameters_describe_themselves(name):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_page_of_models_has_it(name):
-    """Catches a model that nobody can read about: `python -m benchmarks.models docs` writes the page."""
+    """Catches a model that nobody can read about: `python -m benchmarks.models_page docs` writes the page."""
     docs = Path(__file__).parents[2] / "docs"
     assert f"\n### {name}\n" in (docs / "models.md").read_text("utf-8")
     assert (docs / "models" / f"{name}.png").is_file()
