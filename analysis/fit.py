@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import uncertainty
+from analysis.covariance import NormalEquations, row_names, to_natural, transform
 from analysis.equations import Problem
 from analysis.identifiability import (
     Caution,
@@ -299,12 +300,12 @@ def _result(
     scatter = 1.0 if data.stated else _scatter(data, goal, derivative)
     own = data.used * _own_uncertainty(data, goal, scatter)
     shared = [*uncertainty.shared_in_f(data.samples), *poses] if data.stated else []
-    normal = _Normal(derivative, goal, undetermined)
+    normal = NormalEquations(derivative, goal, undetermined)
     search = normal.covariance(own, shared)
-    to_natural = _to_natural(problem, solution, derivative)
-    names = _names(problem)
-    covariance = _transform(to_natural, search)
-    plain = np.square(scatter) * _transform(to_natural, normal.inverse())
+    natural_slopes = to_natural(problem, solution, derivative)
+    names = row_names(problem)
+    covariance = transform(natural_slopes, search)
+    plain = np.square(scatter) * transform(natural_slopes, normal.inverse())
     u_flat = np.sqrt(np.diag(covariance))
     metrics = goodness(
         derivative.f, data.f_r, data.used, wi=data.wi, wo=data.wo, uncertainty=u, parameters=len(names)
@@ -319,7 +320,7 @@ def _result(
         u=u_values,
         covariance=covariance,
         names=names,
-        derived=_derived(values, names, to_natural, search),
+        derived=_derived(values, names, natural_slopes, search),
         metrics=metrics,
         loss=goal.name,
         count=int(data.used.sum()),
@@ -366,70 +367,8 @@ def _on_bound(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
     return np.asarray((solution.shapes - low < near) | (high - solution.shapes < near))
 
 
-class _Normal:
-    """The normal equations at the solution, in search coordinates scaled to columns of length 1."""
-
-    def __init__(self, derivative: SearchJacobian, goal: Loss, undetermined: NDArray[np.bool_]) -> None:
-        columns = goal.slope(derivative.f)[..., None] * derivative.columns
-        flat = columns.reshape(-1, columns.shape[-1])
-        length = np.sqrt(np.einsum("np,np->p", flat, flat))
-        self._free = length > 0.0
-        self._free[: len(undetermined)] &= ~undetermined
-        self._length = length[self._free]
-        scaled = columns[..., self._free] / self._length
-        flat = scaled.reshape(-1, scaled.shape[-1])
-        normal = flat.T @ flat
-        self.condition = float(np.linalg.cond(normal))
-        # Not the inverse: a direction without information must come out large, not fail.
-        self._inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
-        self._scores = scaled * goal.weight()[..., None]
-
-    def covariance(self, own: Array, shared: list[uncertainty.SharedError]) -> Array:
-        """Sandwich covariance; infinite where there is no information."""
-        return self._full(self._inverse @ uncertainty.meat(self._scores, own, shared) @ self._inverse)
-
-    def inverse(self) -> Array:
-        """Covariance for independent residuals of standard deviation 1."""
-        return self._full(self._inverse)
-
-    def _full(self, scaled: Array) -> Array:
-        full = np.zeros((len(self._free), len(self._free)))
-        full[np.ix_(self._free, self._free)] = scaled / np.outer(self._length, self._length)
-        full[~self._free, ~self._free] = np.inf
-        return full
-
-
-def _to_natural(problem: Problem, solution: Solution, derivative: SearchJacobian) -> Array:
-    """Jacobian of the natural parameters (shapes, kd, ks) by the search coordinates (shapes, kd, s)."""
-    shapes, channels = len(solution.shapes), problem.channels
-    count = derivative.columns.shape[-1]
-    jacobian = np.eye(count)
-    for i, parameter in enumerate(problem.shapes):
-        jacobian[i, i] = parameter.coordinate.slope(parameter.coordinate.inverse(solution.shapes[i]))
-    for c in range(channels if problem.has_lobe else 0):
-        row = shapes + channels + c
-        jacobian[row, :shapes] = -solution.ks[c] * derivative.size_slopes[:, c]
-        jacobian[row, row] = 1.0 / derivative.size[c]
-    return jacobian
-
-
-def _names(problem: Problem) -> tuple[tuple[str, int | None], ...]:
-    scales = ["kd", "ks"] if problem.has_lobe else ["kd"]
-    shared: list[tuple[str, int | None]] = [(p.name, None) for p in problem.shapes]
-    return (*shared, *((name, c) for name in scales for c in range(problem.channels)))
-
-
-def _transform(jacobian: Array, covariance: Array) -> Array:
-    """J V J^T; the variance of all that hangs on something undetermined is infinite."""
-    undetermined = np.isinf(np.diag(covariance))
-    result = jacobian @ np.where(np.isinf(covariance), 0.0, covariance) @ jacobian.T
-    hanging = np.any(jacobian[:, undetermined] != 0.0, axis=1)
-    result[hanging, hanging] = np.inf
-    return np.asarray(result)
-
-
 def _derived(
-    values: dict[str, Array], names: tuple[tuple[str, int | None], ...], to_natural: Array, search: Array
+    values: dict[str, Array], names: tuple[tuple[str, int | None], ...], natural_slopes: Array, search: Array
 ) -> dict[str, tuple[Array, Array]]:
     """Derive ks F0 for models with a reflectance of facets, with its uncertainty."""
     if "ior" in values:
@@ -442,8 +381,8 @@ def _derived(
     rows = []
     for c, ks in enumerate(values["ks"]):
         # Along the search coordinates: ks and ior each vary widely, their product hardly.
-        gradient = reflectance * to_natural[names.index(("ks", c))]
-        rows.append(gradient + ks * slope * to_natural[names.index((name, None))])
+        gradient = reflectance * natural_slopes[names.index(("ks", c))]
+        rows.append(gradient + ks * slope * natural_slopes[names.index((name, None))])
     gradients = np.array(rows)
     # An ior held on its bound is taken as it is: ks F0 hardly depends on it.
     known = np.where(np.isinf(search), 0.0, search)
