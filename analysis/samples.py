@@ -212,7 +212,7 @@ def read(path: str | Path, **options: Any) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        A file: gonio NetCDF, gonio CSV, Cornell `.brdf`, RT-300S `.xls`, or an `.npz` of wi, wo, f_r; or a
+        A file in any format that `analysis.formats` reads (docs/formats.md), told by its content; or a
         session's folder, whose `samples.nc` is read.
     **options
         What the format offers: for RT-300S `blank` (path of the blank's file) and `floor_shift` (bool).

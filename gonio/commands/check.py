@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from analysis.checks import Finding
 
-EXAMPLE = "gonio check ../shared/data/mwir/radiance.csv --material Kupfer --as-published"
+EXAMPLE = "gonio check radiance.csv --material Kupfer --as-published"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -1,7 +1,6 @@
 """Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, goodness of fit.
 
-FILE is a session's folder, a gonio NetCDF or CSV table, a Cornell .brdf, an RT-300S .xls or an .npz of wi,
-wo, f_r; its content tells. Without --model the six usual models are fitted, with --all every model. They are
+FILE is a session's folder or a file in any format of docs/formats.md; its content tells which. Without --model the six usual models are fitted, with --all every model. They are
 ranked by cross-validation: the residual, in the loss's own measure, at incidences that were left out of the
 fit; where there is one incidence, by BIC. With --compare several files are set side by side. Without
 --wavelength-nm all channels of a file share the shape parameters; kd and ks are each channel's own.
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from analysis.comparison import Candidate
     from analysis.fit import FitResult
 
-EXAMPLE = "gonio fit ../shared/data/cornell/garnet_red.brdf --wavelength-nm 550 --model cook-torrance"
+EXAMPLE = "gonio fit garnet_red.brdf --wavelength-nm 550 --model cook-torrance"
 
 METRICS = {
     "rms_log": "rms_log",
