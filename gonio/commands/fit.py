@@ -1,9 +1,10 @@
 """Fit reflectance models to BRDF samples of any laboratory: parameters with uncertainty, goodness of fit.
 
-FILE is a session's folder or a file in any format of docs/formats.md; its content tells which. Without --model the six usual models are fitted, with --all every model. They are
-ranked by cross-validation: the residual, in the loss's own measure, at incidences that were left out of the
-fit; where there is one incidence, by BIC. With --compare several files are set side by side. Without
---wavelength-nm all channels of a file share the shape parameters; kd and ks are each channel's own.
+FILE is a session's folder or a file in any format of docs/formats.md; its content tells which. Without
+--model the six usual models are fitted, with --all every model. They are ranked by cross-validation: the
+residual, in the loss's own measure, at incidences that were left out of the fit; where there is one
+incidence, by BIC. With --compare several files are set side by side. Without --wavelength-nm all channels of
+a file share the shape parameters; kd and ks are each channel's own.
 """
 
 from __future__ import annotations
