@@ -37,7 +37,9 @@ SECTIONS = _sections()
 
 
 def _environment() -> dict[str, str]:
-    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    # `make test` must not make these calls of make its children, which print and do other things.
+    outside = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    return {**outside, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
 def _run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -17,6 +17,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+# Here and not where it is needed: another user may not read this checkout.
+from simulator.pty_line import PtyLine
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -49,8 +52,6 @@ def fork(work: Callable[[], None], user: int | None) -> int:
 
 def echo_upper(link: Path) -> None:
     """Serve the line for ever: what arrives goes back in capitals."""
-    from simulator.pty_line import PtyLine
-
     poller = select.epoll()
     line = PtyLine(link, poller)
     while True:
@@ -149,8 +150,6 @@ def test_a_new_line_is_raw_and_open_to_everybody(server: tuple[Path, int | None]
 
 def test_bytes_of_a_client_that_left_at_once_are_still_heard(tmp_path: Path) -> None:
     """Catches the last words of a client that writes and exits, such as a stop, being thrown away."""
-    from simulator.pty_line import PtyLine
-
     poller = select.epoll()
     line = PtyLine(tmp_path / "line", poller)
     fd = open_line(tmp_path / "line")
@@ -166,8 +165,6 @@ def test_bytes_of_a_client_that_left_at_once_are_still_heard(tmp_path: Path) -> 
 
 def test_nobody_there_costs_nothing(tmp_path: Path) -> None:
     """Catches a busy loop: a line without a client must let the poller sleep."""
-    from simulator.pty_line import PtyLine
-
     with contextlib.closing(select.epoll()) as poller:
         line = PtyLine(tmp_path / "line", poller)
         turns = 0
