@@ -23,13 +23,12 @@ def benchmark(name):
 @pytest.mark.realdata
 @pytest.mark.parametrize("name", ["ggx", "cook-torrance-schlick"])
 def test_beside_a_plain_fit(shared_data, name):
-    """Catches a fit that is worse than four starts of scipy, or not several times as fast."""
+    """Catches a fit that is worse than four starts of scipy; `gonio bench fit` holds the speed."""
     bench = benchmark("fit")
     materials = bench.materials()
     ours, plain = bench.side_by_side([materials[m] for m in ("yellow-paint", "gray-plastic")], name)
     for our, other in zip(ours, plain, strict=True):
         assert our.rms <= 1.0001 * other.rms
-    assert sum(o.seconds for o in plain) > 5.0 * sum(o.seconds for o in ours)
 
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
