@@ -178,27 +178,28 @@ def facets_conductor(geometry: Geometry, eta: ArrayLike, k: ArrayLike) -> Lobe:
 def facets_ggx(geometry: Geometry, alpha: ArrayLike, *, heights_correlated: bool = True) -> Lobe:
     """D G / (4 (N.L)(N.E)) of GGX with Smith's masking: the lobe of facets that are perfect mirrors."""
     width = np.asarray(alpha)
-    density, slope = ggx(geometry.tan2_h, width)
     light = smith_ggx(geometry.cos_i, geometry.sin2_i, width)
     camera = smith_ggx(geometry.cos_o, geometry.sin2_o, width)
-    if heights_correlated:
-        visibility = correlated(geometry.cos_i, geometry.cos_o, light, camera)
-    else:
-        visibility = separable(light, camera)
-    return product(Lobe(0.25 * density, {"alpha": 0.25 * slope}), visibility)
+    density, slope = ggx(geometry.tan2_h, width)
+    mirrors = Lobe(0.25 * density, {"alpha": 0.25 * slope})
+    return product(mirrors, _visibility(geometry, light, camera, heights_correlated=heights_correlated))
 
 
 def facets_beckmann(geometry: Geometry, m: ArrayLike, *, heights_correlated: bool = True) -> Lobe:
     """D G / (4 (N.L)(N.E)) of Beckmann's distribution with Smith's masking; as `facets_ggx`."""
     width = np.asarray(m)
-    density, slope = beckmann(geometry.tan2_h, width)
     light = smith_beckmann(geometry.cos_i, geometry.sin2_i, width)
     camera = smith_beckmann(geometry.cos_o, geometry.sin2_o, width)
+    density, slope = beckmann(geometry.tan2_h, width)
+    mirrors = Lobe(0.25 * density, {"m": 0.25 * slope})
+    return product(mirrors, _visibility(geometry, light, camera, heights_correlated=heights_correlated))
+
+
+def _visibility(geometry: Geometry, light: Smith, camera: Smith, *, heights_correlated: bool) -> Lobe:
+    """G / ((N.L)(N.E)) from Smith's term of each side, for heights that correlate or not."""
     if heights_correlated:
-        visibility = correlated(geometry.cos_i, geometry.cos_o, light, camera)
-    else:
-        visibility = separable(light, camera)
-    return product(Lobe(0.25 * density, {"m": 0.25 * slope}), visibility)
+        return correlated(geometry.cos_i, geometry.cos_o, light, camera)
+    return separable(light, camera)
 
 
 def facets_in_grooves(geometry: Geometry, density: Array, slope: Array, width: str) -> Lobe:
