@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike, NDArray
 
-    from analysis.formats.scattered import Loss
+    from analysis.formats.loss import Loss
 
 CONVENTIONS = (
     "wi points to the light, wo to the camera; unit vectors away from the surface in the sample frame: "
@@ -231,13 +231,13 @@ def read(path: str | Path, **options: Any) -> xr.Dataset:
     return formats.read(Path(path), options)
 
 
-def write(samples: xr.Dataset, path: str | Path) -> Loss | None:
+def write(samples: xr.Dataset, path: str | Path) -> Loss:
     """Write samples: NetCDF to `.nc`, CSV (without the correlated columns) to `.csv`, others by their suffix.
 
     Returns
     -------
-    Loss or None
-        What interpolating onto the format's grid lost; None where the samples are written as they are.
+    Loss
+        What the file loses of the samples: by interpolation onto its grid, and what it does not hold.
 
     Raises
     ------

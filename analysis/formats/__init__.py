@@ -1,7 +1,7 @@
 """The formats that samples come in, told apart by content: a suffix is a wish, not a fact.
 
 Each module offers `NAME`, `OPTIONS`, `sniff(head) -> bool` and `read(path, ...) -> Dataset`; some also
-`SUFFIX` and `write(samples, path)`, which returns the loss where the format needs samples elsewhere.
+`SUFFIX` and `write(samples, path)`, which returns what the file loses of the samples.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
-    from analysis.formats.scattered import Loss
+    from analysis.formats.loss import Loss
 
 NAMES = (
     "netcdf",
@@ -72,13 +72,13 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
     return samples
 
 
-def write(samples: xr.Dataset, path: Path) -> Loss | None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write samples in the format that the name's end asks for; see `analysis.samples.write`.
 
     Returns
     -------
-    Loss or None
-        What interpolating onto the format's grid lost; None where the samples are written as they are.
+    Loss
+        What the file loses of the samples: by interpolation onto its grid, and what it does not hold.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def write(samples: xr.Dataset, path: Path) -> Loss | None:
     """
     writer = require_writer(path)
     with whole_file(path) as file:
-        loss: Loss | None = writer.write(samples, file)
+        loss: Loss = writer.write(samples, file)
     return loss
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.formats.loss import Loss, unchanged
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -125,7 +126,7 @@ def _columns(text: str, where: str) -> list[str]:
     return names
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write angles and f_r; samples without a value or with a flag are left out."""
     values = samples["f_r"].to_numpy()
     usable = np.isfinite(values).all(axis=1) & (samples["flags"].to_numpy() == 0).all(axis=1)
@@ -136,3 +137,4 @@ def write(samples: xr.Dataset, path: Path) -> None:
     lines = [f"SAMPLE_ID {source[:200]}", f"NUM_POINTS {len(table)}", f"VARS {','.join([*ANGLES, *names])}"]
     lines += [",".join(repr(float(cell)) for cell in row) for row in table]
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return unchanged(samples, len(table), kept=("wavelength_nm",))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.formats.loss import Loss, unchanged
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -92,7 +93,7 @@ def read(path: Path) -> xr.Dataset:
         raise BadInput(str(error), where=str(path)) from None
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write angles, f_r and u_f_r; samples without a value or with a flag are left out."""
     names = [str(name).replace(" ", "") for name in samples["channel"].to_numpy()]
     suffixes = [""] if len(names) == 1 and "wavelength_nm" not in samples.coords else [f"_{n}" for n in names]
@@ -107,6 +108,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
         writer = csv.writer(stream)
         writer.writerow(header)
         writer.writerows([repr(float(cell)) for cell in row] for row in np.stack(columns, axis=1)[usable])
+    return unchanged(samples, int(np.count_nonzero(usable)), kept=("u_f_r", "wavelength_nm"))
 
 
 def _cells(text: str, where: str) -> list[str]:

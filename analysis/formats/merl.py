@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.formats.scattered import Loss, Scattered, Usable, loss_of, usable
+from analysis.formats.loss import Loss, compared
+from analysis.formats.scattered import Scattered, Usable, usable
 from analysis.samples import make_samples
 from rig.angles import from_half_difference, half_difference
 from rig.errors import BadInput
@@ -98,9 +99,10 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
             f"{given.f_r.shape[1]} channels", where="samples", todo="this format holds three channels, or one"
         )
     given = given._replace(f_r=np.broadcast_to(given.f_r, (len(given.f_r), 3)))
-    planes, outside = _on_bins(given)
+    planes, cells, filled = _on_bins(given)
     write_table(path, planes)
-    return loss_of(given, lambda wi, wo: evaluate(planes, wi, wo), extrapolated=outside)
+    back = evaluate(planes, given.wi, given.wo)
+    return compared(samples, *given, back, cells=cells, filled=filled)
 
 
 def read_table(path: Path) -> Array:
@@ -193,13 +195,13 @@ def _index(bins: Array, phi_bins: int) -> NDArray[np.intp]:
     return np.asarray(p + phi_bins * (d + THETA_D * h))
 
 
-def _on_bins(given: Usable) -> tuple[Array, float]:
-    """Return the stored numbers of the samples, and the part of the bins that lies outside of them."""
+def _on_bins(given: Usable) -> tuple[Array, int, int]:
+    """Return the stored numbers, the bins above the surface, and those that lie outside of the samples."""
     flat = np.full((3, THETA_H * THETA_D * PHI_D[0]), NONE)
     place = _in_bins(given.wi, given.wo, PHI_D[0])
     if np.abs(place - np.floor(place) - 0.5).max() < ON_CENTRE:
         flat[:, _index(np.floor(place), PHI_D[0])] = np.maximum(given.f_r / SCALE, 0.0).T
-        return flat.reshape(3, THETA_H, THETA_D, -1), 0.0
+        return flat.reshape(3, THETA_H, THETA_D, -1), len(given.wi), 0
     scattered = Scattered(given)
     wi, wo = bin_directions()
     above = np.flatnonzero((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0))
@@ -209,4 +211,4 @@ def _on_bins(given: Usable) -> tuple[Array, float]:
         f_r, beyond = scattered(wi[rows], wo[rows])
         flat[:, rows] = np.maximum(f_r / SCALE, 0.0).T
         outside += int(beyond.sum())
-    return flat.reshape(3, THETA_H, THETA_D, -1), outside / above.size
+    return flat.reshape(3, THETA_H, THETA_D, -1), int(above.size), outside

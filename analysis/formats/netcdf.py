@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from analysis.formats.loss import Loss
 from analysis.samples import DIMENSIONS, PER_CHANNEL, UNITS, make_samples
 from rig.errors import BadInput
 
@@ -77,7 +78,7 @@ def read(path: Path) -> xr.Dataset:
     return made.assign(extra).assign_coords(extra_coordinates).assign_attrs(attributes)
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write samples, compressed; what the Dataset holds beyond the known variables is kept too."""
     content = samples.to_netcdf(
         engine="h5netcdf",
@@ -87,6 +88,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
     )
     # Made in memory: where the disk is full, HDF5 cannot even close its file, and ends the process.
     path.write_bytes(content)
+    return Loss(samples.sizes["sample"])
 
 
 def _whole_file(path: Path) -> Any:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.loss import Loss, unchanged
 from analysis.formats.scattered import usable
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
@@ -83,7 +84,7 @@ def read(path: Path) -> xr.Dataset:
     return make_samples(wi, wo, f_r, channels=names[0], flags=flags, source=path.name)
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write the samples of one direction of incidence.
 
     Raises
@@ -92,7 +93,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
         If there are several, fewer than 16 samples can be used, or the channels are neither one, nor X, Y, Z,
         nor R, G, B.
     """
-    texts = _texts(samples)
+    texts, written = _texts(samples)
     if len(texts) > 1:
         raise BadInput(
             f"{len(texts)} directions of incidence, and a PAB file holds one",
@@ -100,6 +101,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
             todo="write a folder of files, with analysis.formats.pab.write_folder",
         )
     path.write_text(texts[0], encoding="utf-8", newline="\n")
+    return unchanged(samples, written)
 
 
 def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
@@ -123,7 +125,7 @@ def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
     BadInput
         As `write`, or if the folder cannot be made.
     """
-    texts = _texts(samples)
+    texts, _ = _texts(samples)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -137,7 +139,8 @@ def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
     return paths
 
 
-def _texts(samples: xr.Dataset) -> list[str]:
+def _texts(samples: xr.Dataset) -> tuple[list[str], int]:
+    """Return a file's text for each incidence, and the number of samples in them."""
     given = usable(samples)
     colour, values = _colour([str(name) for name in samples["channel"].to_numpy()], given.f_r)
     theta_i, phi_i = (np.degrees(angle) for angle in direction_to_spherical(given.wi))
@@ -161,7 +164,7 @@ def _texts(samples: xr.Dataset) -> list[str]:
             for row in rows
         ]
         texts.append("\n".join([*head, *body]) + "\n")
-    return texts
+    return texts, len(given.wi)
 
 
 def _colour(channels: list[str], f_r: Array) -> tuple[str, Array]:

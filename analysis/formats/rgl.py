@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.formats.loss import Loss, compared
 from analysis.formats.rgl_table import Table
-from analysis.formats.scattered import Loss, Scattered, loss_of, usable
+from analysis.formats.scattered import Scattered, usable
 from analysis.formats.tensor import MAGIC, read_tensors, write_tensors
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction, unit
@@ -128,7 +129,7 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
         )
     scattered = Scattered(given)
     theta_i = scattered.theta_i
-    values, outside = _nodes(scattered, given.f_r.shape[1])
+    values, cells, filled = _nodes(scattered, given.f_r.shape[1])
     tensors: dict[str, NDArray[Any]] = {
         "theta_i": theta_i.astype(np.float32),
         "phi_i": np.zeros(1, np.float32),
@@ -143,12 +144,13 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
     if wavelengths is not None:
         tensors["wavelengths"] = wavelengths.astype(np.float32)
     table = Table(tensors, "samples")
-    loss = loss_of(given, lambda wi, wo: table.evaluate(wi, wo) / wo[:, 2:], extrapolated=outside)
+    back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
+    loss = compared(samples, *given, back, cells=cells, filled=filled, kept=("wavelength_nm",))
     return tensors, loss
 
 
-def _nodes(scattered: Scattered, channels: int) -> tuple[NDArray[np.float64], float]:
-    """Values (theta_i, channels, rows, columns) over the profile, and the part outside of the samples.
+def _nodes(scattered: Scattered, channels: int) -> tuple[NDArray[np.float64], int, int]:
+    """Values (theta_i, channels, rows, columns) over the profile; cells seen, and those without samples.
 
     Below the horizon the value keeps its f_r and the cosine its negative sign, so that what lies between a
     node above and one below runs through zero where it should.
@@ -164,7 +166,7 @@ def _nodes(scattered: Scattered, channels: int) -> tuple[NDArray[np.float64], fl
         values.append((f_r * wo[:, 2:] / profile).T.reshape(channels, SIDE, SIDE))
         outside += int((beyond & (wo[:, 2] > 0.0)).sum())
         seen += int((wo[:, 2] > 0.0).sum())
-    return np.stack(values), outside / seen
+    return np.stack(values), seen, outside
 
 
 def _sampling_density(scattered: Scattered, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,8 +16,6 @@ from rig.angles import direction_to_spherical, half_vector
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import xarray as xr
 
 Array = NDArray[np.float64]
@@ -26,26 +24,6 @@ FEWEST_SAMPLES = 16
 MOST_LAYERS = 64
 SAME_ANGLE_RAD = 1e-4
 PROFILE_BINS = 48
-PEAK_FRACTION = 0.5
-"""Samples above this part of their channel's largest value are the peak."""
-
-
-class Loss(NamedTuple):
-    """What a file does not give back of the samples that it was made from: relative errors at the samples."""
-
-    samples: int
-    median_off_peak: float
-    p99_off_peak: float
-    largest_at_peak: float
-    extrapolated: float
-    """Part of the grid's directions that lie outside of the samples and took the value of the nearest."""
-
-    def __str__(self) -> str:
-        return (
-            f"off the peak {100.0 * self.median_off_peak:.2g} % (median), {100.0 * self.p99_off_peak:.2g} % "
-            f"(99th percentile), at the peak up to {100.0 * self.largest_at_peak:.2g} %; "
-            f"{100.0 * self.extrapolated:.2g} % of the grid lies outside of the samples"
-        )
 
 
 class Usable(NamedTuple):
@@ -74,33 +52,6 @@ def usable(samples: xr.Dataset) -> Usable:
             todo="measure more directions, or write a table of samples",
         )
     return Usable(wi[good], wo[good], f_r[good])
-
-
-def loss_of(given: Usable, evaluate: Callable[[Array, Array], Array], *, extrapolated: float = 0.0) -> Loss:
-    """Compare what a file gives with the samples it was made from.
-
-    Parameters
-    ----------
-    given : Usable
-        The samples.
-    evaluate : callable
-        (wi, wo) -> f_r (N, C) of the file.
-    extrapolated : float
-        Part of the grid outside of the samples.
-    """
-    top = np.abs(given.f_r).max(axis=0)
-    # A value that is nothing beside the channel's median has no relative error worth a name.
-    scale = np.maximum(np.abs(given.f_r), 1e-3 * np.median(np.abs(given.f_r), axis=0) + np.finfo(float).tiny)
-    error = np.abs(evaluate(given.wi, given.wo) - given.f_r) / scale
-    peak = np.abs(given.f_r) > PEAK_FRACTION * top
-    off = error[~peak] if (~peak).any() else error.ravel()
-    return Loss(
-        len(given.wi),
-        float(np.median(off)),
-        float(np.percentile(off, 99.0)),
-        float(error[peak].max(initial=0.0)),
-        extrapolated,
-    )
 
 
 class Scattered:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.loss import Loss, unchanged
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.formats.zemax import directions
 from analysis.samples import make_samples
@@ -179,7 +180,7 @@ def _directions(cells: Array, entries: dict[str, Entry], path: Path) -> tuple[Ar
     )
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write samples that fill a grid of theta_i, phi_i, theta_o and phi_o.
 
     Where the light has one azimuth, view azimuths are counted from it (isotropic data in this format).
@@ -222,6 +223,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
     lines += ["SOURCE_TYPE measured", "DATA ascii"]
     lines += [" ".join(repr(float(value)) for value in row) for row in table]
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return unchanged(samples, len(table), kept=("wavelength_nm",))
 
 
 def _model(samples: xr.Dataset) -> list[str]:

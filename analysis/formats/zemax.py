@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.loss import Loss, compared
 from analysis.formats.text import looks_like_text
 from analysis.formats.words import Words
 from analysis.samples import make_samples
@@ -183,7 +184,7 @@ def _channel(words: Words, name: str, shape: tuple[int, ...]) -> Array:
     return np.stack(blocks).reshape(shape)
 
 
-def write(samples: xr.Dataset, path: Path) -> None:
+def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write one channel as a plane-symmetric grid; what the grid loses is told in the file's comments.
 
     The sample is taken as isotropic and mirror-symmetric: azimuths are folded onto 0 to 180 deg. Each
@@ -206,7 +207,7 @@ def write(samples: xr.Dataset, path: Path) -> None:
     theta_i, phi_i = direction_to_spherical(samples["wi"].to_numpy()[usable])
     azimuth, radial = _specular_angles(theta_i, phi_i, samples["wo"].to_numpy()[usable])
     incidences = _distinct(np.degrees(theta_i))
-    tables, losses = [], []
+    tables, back, filled = [], np.empty_like(value), 0
     for incidence in incidences:
         chosen = np.abs(np.degrees(theta_i) - incidence) <= SAME_ANGLE_DEG
         if np.count_nonzero(chosen) < 4:
@@ -215,9 +216,15 @@ def write(samples: xr.Dataset, path: Path) -> None:
                 where=str(path),
                 todo="leave that incidence out or measure on a grid",
             )
-        tables.append(_resampled(azimuth[chosen], radial[chosen], value[chosen]))
-        losses.append(_loss(azimuth[chosen], radial[chosen], value[chosen], tables[-1]))
-    path.write_text(_page(samples, incidences, tables, losses), encoding="utf-8")
+        table, outside = _resampled(azimuth[chosen], radial[chosen], value[chosen])
+        back[chosen] = _read_back(azimuth[chosen], radial[chosen], table)
+        tables.append(table)
+        filled += int(np.count_nonzero(outside & _seen(incidence)))
+    cells = sum(int(np.count_nonzero(_seen(incidence))) for incidence in incidences)
+    wi, wo = (samples[name].to_numpy()[usable] for name in ("wi", "wo"))
+    loss = compared(samples, wi, wo, value[:, None], back[:, None], cells=cells, filled=filled)
+    path.write_text(_page(samples, incidences, tables, loss), encoding="utf-8")
+    return loss
 
 
 def _specular_angles(theta_i: Array, phi_i: Array, wo: Array) -> tuple[Array, Array]:
@@ -241,40 +248,40 @@ def _plane(azimuth: Array, radial: Array) -> Array:
     return np.stack([radial * np.cos(azimuth), radial * np.sin(azimuth)], axis=-1)
 
 
-def _resampled(azimuth: Array, radial: Array, value: Array) -> Array:
-    """Interpolate one incidence on the grid; shape (azimuths, radials), 0 outside the samples' hull."""
+def _seen(incidence_deg: float) -> NDArray[np.bool_]:
+    """Which cells of the grid lie above the horizon; shape (azimuths, radials)."""
+    azimuth, radial = np.radians(AZIMUTHS_DEG)[:, None], np.radians(RADIALS_DEG)
+    return np.asarray(directions(np.radians(incidence_deg), azimuth, radial)[..., 2] > HORIZON)
+
+
+def _resampled(azimuth: Array, radial: Array, value: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Interpolate one incidence on the grid (azimuths, radials); 0 outside of the samples, and where that is."""
     from scipy.interpolate import LinearNDInterpolator
 
     # Both sides of the plane of incidence, so that the hull has no edge along it.
     points = np.concatenate([_plane(azimuth, radial), _plane(-azimuth, radial)])
     points, first = np.unique(np.round(points, 9), axis=0, return_index=True)
-    interpolate = LinearNDInterpolator(points, np.concatenate([value, value])[first], fill_value=0.0)
+    interpolate = LinearNDInterpolator(points, np.concatenate([value, value])[first])
     grid = np.meshgrid(np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG), indexing="ij")
-    return np.asarray(interpolate(_plane(*grid)), dtype=np.float64)
+    table = np.asarray(interpolate(_plane(*grid)), dtype=np.float64)
+    outside = np.isnan(table)
+    return np.where(outside, 0.0, table), outside
 
 
-def _loss(azimuth: Array, radial: Array, value: Array, table: Array) -> Array:
-    """Return the relative change of each sample when it is read back from the grid, linearly."""
+def _read_back(azimuth: Array, radial: Array, table: Array) -> Array:
+    """Give the grid's value at each sample, linearly; 0 beyond the grid."""
     from scipy.interpolate import RegularGridInterpolator
 
-    back = RegularGridInterpolator(
-        (np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG)), table, bounds_error=False, fill_value=0.0
-    )(np.stack([azimuth, radial], axis=-1))
-    positive = value > 0.0
-    return np.asarray(np.abs(back - value)[positive] / value[positive])
+    lists = np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG)
+    back = RegularGridInterpolator(lists, table, bounds_error=False, fill_value=0.0)
+    return np.asarray(back(np.stack([azimuth, radial], axis=-1)))
 
 
-def _page(samples: xr.Dataset, incidences: Array, tables: list[Array], losses: list[Array]) -> str:
-    change = np.concatenate(losses)
-    told = (
-        f"median {np.median(change):.2%}, 95 % of samples within {np.quantile(change, 0.95):.2%}"
-        if change.size
-        else "no positive samples"
-    )
+def _page(samples: xr.Dataset, incidences: Array, tables: list[Array], loss: Loss) -> str:
     lines = [
         f"# samples: {str(samples.attrs.get('source', '')).strip()[:200]}",
         f"# channel: {samples['channel'].to_numpy()[0]}",
-        f"# change of the samples by this grid, read back linearly: {told}",
+        f"# change of the samples by this grid, read back linearly: {loss}",
         "# isotropy and mirror symmetry are taken for granted; 0 stands where there are no samples",
         "Source\tMeasured",
         "Symmetry\tPlaneSymmetrical",
