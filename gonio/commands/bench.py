@@ -2,13 +2,15 @@
 
 PART names a file of the checkout's benchmarks/ folder; without it all parts run. A part is a module with a
 function run(plots), where plots is a folder for figures or None, that returns rows of name, value, unit,
-target (the bound, null for information only) and ok. The exit code is 1 where a target is missed. The JSON
-object: results, a list of these rows.
+target (the bound, null for information only) and ok. A part can consist of others, its PARTS. Numerical
+libraries get one thread, so that times compare. The exit code is 1 where a target is missed. The JSON object:
+results, a list of these rows.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import sys
 from pathlib import Path
@@ -25,6 +27,7 @@ EXAMPLE = "gonio bench imaging --plots figures"
 EXIT_TARGET_MISSED = 1
 _RUN = re.compile(r"^def run\(", re.MULTILINE)
 _KEYS = ("name", "value", "unit", "target", "ok")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -38,17 +41,24 @@ def run(options: argparse.Namespace) -> int:
     """Run the parts and print their rows."""
     folder = _folder()
     known = sorted(path.stem for path in folder.glob("*.py") if _RUN.search(path.read_text("utf-8")))
-    parts = options.parts or known
-    for part in parts:
+    for part in options.parts:
         if part not in known:
             raise BadInput("no such benchmark", where=part, todo=f"there are: {', '.join(known)}")
+    for name in _THREADS:  # read when numpy is first imported
+        os.environ.setdefault(name, "1")
+    if str(folder.parent) not in sys.path:  # parts import one another as `benchmarks.PART`
+        sys.path.insert(0, str(folder.parent))
+    modules = {part: _load(folder / f"{part}.py") for part in options.parts or known}
+    contained = {inner for module in modules.values() for inner in getattr(module, "PARTS", ())}
     plots = None
     if options.plots:
         plots = Path(options.plots)
         plots.mkdir(parents=True, exist_ok=True)
     results: list[dict[str, Any]] = []
-    for part in parts:
-        rows = [{key: row[key] for key in _KEYS} for row in _load(folder / f"{part}.py").run(plots)]
+    for part, module in modules.items():
+        if not options.parts and part in contained:
+            continue
+        rows = [{key: row[key] for key in _KEYS} for row in module.run(plots)]
         results += rows
         if not options.json:
             _print_rows(part, rows)
@@ -66,7 +76,7 @@ def _folder() -> Path:
 
 
 def _load(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"benchmarks_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(f"benchmarks.{path.stem}", path)
     if spec is None or spec.loader is None:
         raise BadInput("it cannot be loaded", where=str(path), todo="it must be a Python file")
     module = importlib.util.module_from_spec(spec)

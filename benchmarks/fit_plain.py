@@ -1,0 +1,170 @@
+"""Fits against a plain scipy fit in the same process: loss and CPU time on 20 measured materials.
+
+The plain fit is what one writes in an afternoon: `scipy.optimize.least_squares` with bounds, logarithms of
+widths, a numeric Jacobian, the same loss (differences of ln(1 + f cos theta_i)), all channels sharing the
+shapes, and four starts over the range of widths. It computes only what it needs, its directions' products
+once. Ours is `analysis.fit.fit` as everybody calls it: starts, fit, covariance, metrics.
+
+Times are CPU times of the process, so that threads count, and a busy machine does not.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.fit import fit
+from analysis.models import MODELS
+from analysis.models.base import Coordinate, Geometry, Kind
+from analysis.samples import read
+from analysis.style import SERIES, figure
+from benchmarks.rows import row
+from gonio.output import Progress
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    from analysis.models.base import Model, Parameter
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+COMPARED = ("blinn-phong", "ward-duer", "cook-torrance", "cook-torrance-schlick", "ggx")
+"""Models whose published plain fits there are numbers of."""
+BARS = {"ggx": 0.0280, "cook-torrance-schlick": 0.0330}
+"""Median RMS of ln(1 + f cos) over the materials."""
+SPEED_BAR = 10.0
+SAME = 1.0001
+"""Median RMS over the plain fit's that counts as the same: the searches stop at 1e-8 of the cost."""
+PLAIN_STARTS = (0.02, 0.08, 0.25, 0.6)
+"""Widths of the lobe, as slopes, from which the plain fit starts."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One fit: RMS of ln(1 + f cos theta_i) and CPU seconds."""
+
+    rms: float
+    seconds: float
+
+
+def plain_fit(samples: xr.Dataset, model: type[Model]) -> Outcome:
+    """Fit as one does with scipy alone: see the module."""
+    from scipy.optimize import least_squares
+
+    begin = time.process_time()
+    wi, wo, f_r = (samples[name].to_numpy() for name in ("wi", "wo", "f_r"))
+    cos_i, channels = wi[:, 2:], f_r.shape[1]
+    geometry, target = Geometry(wi, wo), np.log1p(f_r * cos_i)
+    shapes = [p for p in model.PARAMETERS if p.kind is Kind.SHAPE]
+
+    def residual(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        kd, ks, free = x[:channels], x[channels : 2 * channels], x[2 * channels :]
+        values = {p.name: p.coordinate.inverse(float(v)) for p, v in zip(shapes, free, strict=True)}
+        lobe = model(**values).lobe_at(geometry)
+        assert lobe is not None
+        return (np.log1p((kd / np.pi + ks * lobe.value) * cos_i) - target).ravel()
+
+    low = [0.0] * 2 * channels + [p.coordinate.forward(p.bounds[0]) for p in shapes]
+    high = [np.inf] * 2 * channels + [p.coordinate.forward(p.bounds[1]) for p in shapes]
+    base = np.pi * np.median(f_r, axis=0)
+    costs = []
+    with np.errstate(under="ignore", over="ignore"):
+        for width in PLAIN_STARTS:
+            start = np.concatenate([base, np.full(channels, 0.3), [_start(p, width) for p in shapes]])
+            costs.append(least_squares(residual, start, bounds=(low, high)).cost)
+    return Outcome(float(np.sqrt(2.0 * min(costs) / f_r.size)), time.process_time() - begin)
+
+
+def _start(parameter: Parameter, width: float) -> float:
+    """Start of a shape: widths at the given one, exponents at theirs, all else at the default."""
+    if parameter.name.endswith("exponent"):
+        return parameter.coordinate.forward(2.0 / width**2)
+    if parameter.coordinate is Coordinate.LOG:
+        return parameter.coordinate.forward(width)
+    return parameter.coordinate.forward(parameter.default)
+
+
+def our_fit(samples: xr.Dataset, name: str) -> Outcome:
+    """Fit with `analysis.fit.fit`."""
+    begin = time.process_time()
+    result = fit(samples, name, loss="log")
+    return Outcome(result.metrics["rms_log"], time.process_time() - begin)
+
+
+def side_by_side(materials: list[xr.Dataset], name: str) -> tuple[list[Outcome], list[Outcome]]:
+    """Fit every material both ways, in turn: ours, plain."""
+    our_fit(materials[0].isel(sample=slice(None, None, 40)), name)
+    pairs = [(our_fit(samples, name), plain_fit(samples, MODELS[name])) for samples in materials]
+    return [ours for ours, _ in pairs], [plain for _, plain in pairs]
+
+
+def materials() -> dict[str, xr.Dataset]:
+    """Read the 20 MERL stand-ins; BadInput where they are not at hand."""
+    paths = sorted((DATA / "merl-standins").glob("*.npz"))
+    if not paths:
+        raise BadInput("the shared measurements are not at hand", where=str(DATA), todo="put them there")
+    return {path.stem: read(path) for path in paths}
+
+
+def run(plots: Path | None) -> list[dict[str, Any]]:
+    """Measure and compare; see the module."""
+    sets = list(materials().values())
+    rows: list[dict[str, Any]] = []
+    sides: dict[str, tuple[list[Outcome], list[Outcome]]] = {}
+    progress = Progress("models", len(COMPARED))
+    for name in COMPARED:
+        sides[name] = side_by_side(sets, name)
+        rows += _compared(name, *sides[name])
+        progress(note=name)
+    if plots is not None:
+        draw(plots / "fit.png", sides)
+    return rows
+
+
+def _compared(name: str, ours: list[Outcome], plain: list[Outcome]) -> list[dict[str, Any]]:
+    median, median_plain = (float(np.median([o.rms for o in side])) for side in (ours, plain))
+    seconds, seconds_plain = (float(np.mean([o.seconds for o in side])) for side in (ours, plain))
+    worst = max(our.rms / other.rms for our, other in zip(ours, plain, strict=True))
+    return [
+        row(f"{name}: median RMS of ln(1 + f cos)", median, "", BARS.get(name)),
+        row(f"{name}: median RMS over the plain fit's", median / median_plain, "x", SAME),
+        row(f"{name}: RMS over the plain fit's, worst material", worst, "x", SAME),
+        row(f"{name}: CPU time of a material", 1e3 * seconds, "ms"),
+        row(
+            f"{name}: the plain fit's CPU time over it",
+            seconds_plain / seconds,
+            "x",
+            SPEED_BAR,
+            at_least=True,
+        ),
+    ]
+
+
+def draw(path: Path, sides: dict[str, tuple[list[Outcome], list[Outcome]]]) -> None:
+    """Draw error against time: a dot for each material, ours filled, the plain fit's open; medians large."""
+    from matplotlib.lines import Line2D
+
+    with figure(7.2, 4.0) as drawn:
+        axes = drawn.subplots()
+        for colour, (ours, plain) in zip(SERIES, sides.values(), strict=False):
+            for side, face in ((ours, colour), (plain, "none")):
+                seconds, rms = [o.seconds for o in side], [o.rms for o in side]
+                axes.plot(seconds, rms, "o", ms=2.6, color=colour, mfc=face, mew=0.5, alpha=0.5)
+                axes.plot(np.median(seconds), np.median(rms), "o", ms=8.0, color=colour, mfc=face, mew=1.3)
+            medians = [[np.median([getattr(o, key) for o in side]) for side in (ours, plain)] for key in
+                       ("seconds", "rms")]  # fmt: skip
+            axes.plot(*medians, color=colour, lw=0.7)
+        axes.set(xscale="log", yscale="log")
+        axes.set_xlabel("CPU time of a fit with all its starts, s")
+        axes.set_ylabel("RMS of ln(1 + f cos θ$_i$)")
+        axes.set_title(
+            "Error against time, 20 materials: filled gonio, open a plain scipy fit, large the median"
+        )
+        handles = [Line2D([], [], ls="", marker="o", color=c) for c, _ in zip(SERIES, sides, strict=False)]
+        axes.legend(handles, list(sides), loc="upper left", bbox_to_anchor=(1.005, 1.0), borderaxespad=0)
+        drawn.savefig(path, dpi=110, metadata={"Software": None})
