@@ -127,7 +127,7 @@ def _fitted(result: FitResult, counts: Array) -> Array:
     state = result.state
     problem, best = state.problem, state.solution
     loss = state.loss.by_channel()
-    size = Linearised(problem, loss).size(problem.lobes(best.shapes[None])[0])[0]
+    size = Linearised(problem, loss).size(problem.terms(best.shapes[None]).lobe)[0]
     equations = Linearised(problem, loss, counts=counts)
     low, high = problem.bounds()
     scales = 2 * problem.channels
@@ -146,5 +146,5 @@ def _fitted(result: FitResult, counts: Array) -> Array:
     ]
     columns.append(kd)
     if problem.has_lobe:
-        columns.append(s / equations.size(problem.lobes(shapes)[0]))
+        columns.append(s / equations.size(problem.terms(shapes).lobe))
     return np.hstack(columns)

@@ -159,8 +159,7 @@ def _left_out(result: FitResult) -> tuple[Array, Array]:
         if count == 0 or not rest.used.any(axis=0).all():
             continue
         found = minimise(state.problem.some(kept), rest, state.solution)
-        lobe, _ = state.problem.some(left).lobe(found.shapes)
-        f = found.kd[:, None] / np.pi + found.ks[:, None] * lobe.T
+        f = state.problem.some(left).terms(found.shapes[None]).values(found.kd[None], found.ks[None])[0]
         squares.append(float(np.sum(np.square(held.residual(f)))) / count)
         weights.append(count)
     return np.array(squares), np.array(weights, dtype=np.float64)

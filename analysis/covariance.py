@@ -11,8 +11,9 @@ from analysis import uncertainty
 
 if TYPE_CHECKING:
     from analysis.equations import Problem
+    from analysis.jacobian import SearchJacobian
     from analysis.losses import Loss
-    from analysis.solver import SearchJacobian, Solution
+    from analysis.solver import Solution
 
 Array = NDArray[np.float64]
 

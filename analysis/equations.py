@@ -4,16 +4,17 @@ Search coordinates. A shape parameter is searched in the coordinate it names (lo
 replaced by s = ks |w lobe|, the size of the specular part of the weighted data: unlike ks it hardly depends
 on the shapes, so the long curved valleys of (ks, ior) and of (ks, m) become straight.
 
-All channels share the lobe and its slopes, so no Jacobian is formed: with b_j the lobe, its slopes and the
-diffuse term, every entry of the normal equations is a sum of the loss's slope squared times b_j b_k, and
-those products are made once for all channels.
+All channels share the two terms and their slopes, so no Jacobian is formed: with b_j the lobe, the diffuse
+term and the slopes of both, every entry of the normal equations is a sum of the loss's slope squared times
+b_j b_k, and those products are made once for all channels. A diffuse term that is the same for all shapes has
+no slopes and costs nothing more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +23,53 @@ from analysis.descent import Equations
 from analysis.models.base import Geometry, Kind, Parameter
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from analysis.descent import Members
     from analysis.losses import Loss
-    from analysis.models.base import Model
+    from analysis.models.base import Lobe, Model
 
 Array = NDArray[np.float64]
 
 LARGEST = 1e100
-"""Lobes and slopes are cut here: beyond all that a search returns to, and their products are still finite."""
+"""Terms and slopes are cut here: beyond all that a search returns to, and their products are still finite."""
 DEGENERATE = 1e-12
 """Squared sine between the two scaled columns below which they count as one."""
+
+
+class Terms(NamedTuple):
+    """The two terms of f at unit scale for M sets of shapes, in 1/sr, 0 where nothing is visible.
+
+    Attributes
+    ----------
+    diffuse, lobe : ndarray, shape (M, N)
+        What kd and ks scale; a diffuse term that no shape moves has shape (1, N), a lobe that is not there is
+        zero.
+    diffuse_slopes, lobe_slopes : ndarray, shape (D, M, N) and (L, M, N)
+        Their derivatives by the search coordinates that move them.
+    diffuse_by, lobe_by : tuple of int
+        The D and L shapes that these are.
+    """
+
+    diffuse: Array
+    lobe: Array
+    diffuse_slopes: Array
+    lobe_slopes: Array
+    diffuse_by: tuple[int, ...]
+    lobe_by: tuple[int, ...]
+
+    def values(self, kd: Array, ks: Array) -> Array:
+        """Return f (M, C, N) for scales (M, C)."""
+        return np.asarray(kd[..., None] * self.diffuse[:, None, :] + ks[..., None] * self.lobe[:, None, :])
+
+    def pair(self) -> Array:
+        """Return both terms, shape (M, 2, N)."""
+        return np.stack([np.broadcast_to(self.diffuse, self.lobe.shape), self.lobe], axis=1)
+
+    def basis(self) -> Array:
+        """Return slopes of the lobe, lobe, diffuse term and its slopes, shape (M, L + 2 + D, N)."""
+        diffuse = np.broadcast_to(self.diffuse, self.lobe.shape)
+        return np.stack([*self.lobe_slopes, self.lobe, diffuse, *self.diffuse_slopes], axis=1)
 
 
 @dataclass(frozen=True)
@@ -66,8 +104,8 @@ class Problem:
         """Return the problem of some of the samples."""
         return Problem(self.model, Geometry(self.geometry.wi[rows], self.geometry.wo[rows]), self.channels)
 
-    def lobes(self, coordinates: Array) -> tuple[Array, Array]:
-        """Evaluate the lobe at unit scale for many shapes.
+    def terms(self, coordinates: Array) -> Terms:
+        """Evaluate both terms at unit scale for many shapes.
 
         Parameters
         ----------
@@ -76,32 +114,38 @@ class Problem:
 
         Returns
         -------
-        tuple of ndarray
-            The lobe (M, N) and its derivatives by the search coordinates (S, M, N).
+        Terms
         """
-        full = (len(coordinates), len(self.geometry.wi))
         values = {}
         for parameter, column in zip(self.shapes, coordinates.T, strict=True):
             natural = [parameter.coordinate.inverse(x) for x in column]
             values[parameter.name] = np.clip(natural, *parameter.bounds)
         with np.errstate(under="ignore", over="ignore"):
-            lobe = self.model(**values).lobe_at(self.geometry)
-        if lobe is None:
-            return np.zeros(full), np.zeros((0, *full))
+            found = self.model(**values).terms_at(self.geometry)
+        count = len(coordinates)
+        diffuse, diffuse_slopes, diffuse_by = self._term(found["kd"], values, count)
+        if "ks" in found:
+            lobe, lobe_slopes, lobe_by = self._term(found["ks"], values, count)
+        else:
+            full = (count, len(self.geometry.wi))
+            lobe, lobe_slopes, lobe_by = np.zeros(full), np.zeros((0, *full)), ()
+        lobe = np.broadcast_to(lobe, (count, lobe.shape[1]))
+        return Terms(diffuse, lobe, diffuse_slopes, lobe_slopes, diffuse_by, lobe_by)
+
+    def _term(
+        self, term: Lobe, values: Mapping[str, Array], count: int
+    ) -> tuple[Array, Array, tuple[int, ...]]:
+        """Turn a model's term (N, M) into values (M, N), slopes by search coordinates, and by which."""
         visible = self.geometry.visible
-        slopes = np.empty((len(self.shapes), *full))
-        for i, parameter in enumerate(self.shapes):
+        by = tuple(i for i, parameter in enumerate(self.shapes) if parameter.name in term.slopes)
+        slopes = np.empty((len(by), count, len(visible)))
+        for row, i in enumerate(by):
+            parameter = self.shapes[i]
             per = np.array([parameter.coordinate.slope(value) for value in values[parameter.name]])
             with np.errstate(over="ignore"):
-                slope = lobe.slopes[parameter.name] * per
-            slopes[i] = np.where(visible, np.clip(slope, -LARGEST, LARGEST).T, 0.0)
-        value = np.minimum(lobe.value, LARGEST)
-        return np.where(visible, np.broadcast_to(value.T, full), 0.0), slopes
-
-    def lobe(self, coordinates: Array) -> tuple[Array, list[Array]]:
-        """Return the lobe (N, 1) at unit scale and its derivatives, for one set of shapes (S,)."""
-        lobe, slopes = self.lobes(coordinates[None])
-        return lobe.T, [slope.T for slope in slopes]
+                slope = term.slopes[parameter.name] * per
+            slopes[row] = np.where(visible, np.clip(slope, -LARGEST, LARGEST).T, 0.0)
+        return np.where(visible, np.minimum(term.value, LARGEST).T, 0.0), slopes, by
 
     def bounds(self) -> tuple[Array, Array]:
         """Return bounds of the shapes in search coordinates."""
@@ -109,15 +153,15 @@ class Problem:
         return low, high
 
 
-def solve_scales(weight: Array, data: Array, lobe: Array) -> tuple[Array, Array]:
-    """Solve for the non-negative scales of kd/pi + ks lobe, each channel alone.
+def solve_scales(weight: Array, data: Array, pair: Array) -> tuple[Array, Array]:
+    """Solve for the non-negative scales of both terms, each channel alone.
 
     Parameters
     ----------
     weight, data : ndarray, shape (..., C, N)
         Weights (0 for unused data) and data.
-    lobe : ndarray, shape (..., N)
-        The lobe at unit scale; zero for a model that is kd alone.
+    pair : ndarray, shape (..., 2, N)
+        Diffuse term and lobe at unit scale (`Terms.pair`); the lobe is zero for a model without.
 
     Returns
     -------
@@ -125,8 +169,7 @@ def solve_scales(weight: Array, data: Array, lobe: Array) -> tuple[Array, Array]
         kd and ks.
     """
     squared = np.square(weight)
-    basis = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe], axis=-2)
-    return _best_scales(_gram(basis, squared), _against(squared * data, basis))
+    return _best_scales(_gram(pair, squared), _against(squared * data, pair))
 
 
 def _best_scales(gram: Array, right: Array) -> tuple[Array, Array]:
@@ -196,11 +239,10 @@ class Linearised:
         self._fixed_size = fixed_size
         self._root = None if counts is None else np.sqrt(counts)
         self._squared = np.square(loss.weight())
-        self._diffuse = np.where(problem.geometry.visible, 1.0 / np.pi, 0.0)
 
-    def linear_scales(self, lobe: Array) -> tuple[Array, Array]:
-        """Solve for the scales (M, C) of lobes (M, N), under the loss made linear at the data."""
-        return solve_scales(np.sqrt(self._squared), self.loss.data, lobe)
+    def linear_scales(self, terms: Terms) -> tuple[Array, Array]:
+        """Solve for the scales (M, C) under the loss made linear at the data."""
+        return solve_scales(np.sqrt(self._squared), self.loss.data, terms.pair())
 
     def size(self, lobe: Array) -> Array:
         """Return |w lobe| by channel, shape (M, C), for lobes (M, N); 1 where it is 0."""
@@ -208,10 +250,6 @@ class Linearised:
             return np.broadcast_to(self._fixed_size, (len(lobe), len(self._fixed_size)))
         square = np.square(lobe) @ self._squared.T
         return np.sqrt(np.where(square > 0.0, square, 1.0))
-
-    def values(self, lobe: Array, kd: Array, ks: Array) -> Array:
-        """Return f (M, C, N) for lobes (M, N) and scales (M, C)."""
-        return np.asarray(kd[..., None] * self._diffuse + ks[..., None] * lobe[:, None, :])
 
     def unpack(self, x: Array) -> tuple[Array, Array, Array]:
         """Split coordinates (M, P) into shapes (M, S), kd (M, C) and s (M, C)."""
@@ -225,52 +263,49 @@ class Linearised:
         projection of Kaufman (1975); scales at zero stay there and take part in nothing.
         """
         del members
-        lobe, slopes = self.problem.lobes(shapes)
-        kd, ks = self.linear_scales(lobe)
-        basis = self._basis(lobe, slopes)
-        residual = self.loss.residual(self.values(lobe, kd, ks))
+        terms = self.problem.terms(shapes)
+        kd, ks = self.linear_scales(terms)
+        basis = terms.basis()
+        residual = self.loss.residual(terms.values(kd, ks))
         gram = _gram(basis, self._squared)
         pull = _against(np.sqrt(self._squared) * residual, basis)
         count = shapes.shape[1]
-        scale = ks[..., None]
-        own = np.square(scale)[..., None] * gram[..., :count, :count]
+        mix = _mix(terms, count, kd, ks)
+        local = mix @ gram @ np.swapaxes(mix, -1, -2)
+        force = np.einsum("mcjk,mck->mcj", mix, pull)
         active = np.stack([ks > 0.0, kd > 0.0], axis=-1)
-        cross = scale[..., None] * gram[..., :count, count:] * active[..., None, :]
-        taken = _solve_two(gram[..., count:, count:], active, np.swapaxes(cross, -1, -2))
-        normal = np.sum(own - cross @ taken, axis=1)
-        gradient = np.sum(scale * pull[..., :count], axis=1)
+        cross = local[..., :count, count:] * active[..., None, :]
+        taken = _solve_two(local[..., count:, count:], active, np.swapaxes(cross, -1, -2))
+        normal = np.sum(local[..., :count, :count] - cross @ taken, axis=1)
+        gradient = np.sum(force[..., :count], axis=1)
         return Equations(0.5 * np.einsum("mcn,mcn->m", residual, residual), normal, gradient)
 
     def all_parameters(self, x: Array, members: Members) -> Equations:
         """Equations of all search coordinates (shapes, kd by channel, s by channel)."""
         shapes, kd, s = self.unpack(x)
-        lobe, slopes = self.problem.lobes(shapes)
-        size = self.size(lobe)
+        terms = self.problem.terms(shapes)
+        size = self.size(terms.lobe)
         if self._fixed_size is None:
-            relative = np.matmul(lobe * slopes, self._squared.T) / np.square(size)
+            relative = np.matmul(terms.lobe * terms.lobe_slopes, self._squared.T) / np.square(size)
         else:
-            relative = np.zeros((len(slopes), *size.shape))
+            relative = np.zeros((len(terms.lobe_slopes), *size.shape))
         # What is common to the channels is taken out of the slopes themselves, where it cancels best.
         common = np.mean(relative, axis=-1)
-        slopes = slopes - lobe * common[..., None]
+        terms = terms._replace(lobe_slopes=terms.lobe_slopes - terms.lobe * common[..., None])
         relative = relative - common[..., None]
         ks = s / size
-        f = self.values(lobe, kd, ks)
+        f = terms.values(kd, ks)
         residual, slope = self.loss.residual(f), self.loss.slope(f)
         if self._root is not None:
             root = self._root[members][:, None, :]
             residual, slope = root * residual, root * slope
-        basis = self._basis(lobe, slopes)
+        basis = terms.basis()
         gram, pull = _gram(basis, np.square(slope)), _against(slope * residual, basis)
-        mix = _mix(relative, ks, size)
+        mix = _mix(terms, shapes.shape[1], kd, ks, relative=relative, size=size)
         local = mix @ gram @ np.swapaxes(mix, -1, -2)
         force = np.einsum("mcjk,mck->mcj", mix, pull)
         normal, gradient = self._assembled(local, force)
         return Equations(0.5 * np.einsum("mcn,mcn->m", residual, residual), normal, gradient)
-
-    def _basis(self, lobe: Array, slopes: Array) -> Array:
-        diffuse = np.broadcast_to(self._diffuse, lobe.shape)
-        return np.stack([*slopes, lobe, diffuse], axis=1)
 
     def _assembled(self, local: Array, force: Array) -> tuple[Array, Array]:
         """Put each channel's equations in (shapes, s, kd) into those of all coordinates."""
@@ -284,18 +319,30 @@ class Linearised:
         return normal, gradient
 
 
-def _mix(relative: Array, ks: Array, size: Array) -> Array:
-    """Write derivatives of f by (shapes, s, kd) in terms of the basis (slopes, lobe, diffuse): (M, C, K, K).
+def _mix(
+    terms: Terms,
+    shapes: int,
+    kd: Array,
+    ks: Array,
+    *,
+    relative: Array | None = None,
+    size: Array | float = 1.0,
+) -> Array:
+    """Write derivatives of f by (shapes, s, kd) in terms of `Terms.basis`: (M, C, S + 2, L + 2 + D).
 
-    `relative` (S, M, C) is what a shape's step does to ln |w lobe|, and so to ks while s stays.
+    `relative` (L, M, C) is what a shape's step does to ln |w lobe|, and so to ks while s = ks `size` stays;
+    without it ks stays.
     """
-    count = len(relative)
-    mix = np.zeros((*ks.shape, count + 2, count + 2))
-    for i in range(count):
-        mix[..., i, i] = ks
-        mix[..., i, count] = -ks * relative[i]
-    mix[..., count, count] = 1.0 / size
-    mix[..., count + 1, count + 1] = 1.0
+    lobes = len(terms.lobe_by)
+    mix = np.zeros((*ks.shape, shapes + 2, lobes + 2 + len(terms.diffuse_by)))
+    for row, i in enumerate(terms.lobe_by):
+        mix[..., i, row] = ks
+        if relative is not None:
+            mix[..., i, lobes] = -ks * relative[row]
+    for row, i in enumerate(terms.diffuse_by):
+        mix[..., i, lobes + 2 + row] = kd
+    mix[..., shapes, lobes] = 1.0 / size
+    mix[..., shapes + 1, lobes + 1] = 1.0
     return mix
 
 

@@ -20,12 +20,13 @@ from analysis.identifiability import (
     about_the_lobe,
     correlation_matrix,
 )
+from analysis.jacobian import SearchJacobian, search_jacobian
 from analysis.losses import Loss, make_loss
 from analysis.metrics import goodness
-from analysis.models import FITTED_MODELS, MODELS
+from analysis.models import MODELS
 from analysis.models.base import Geometry
 from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
-from analysis.solver import SearchJacobian, Solution, minimise, search_jacobian
+from analysis.solver import Solution, minimise
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -174,11 +175,7 @@ def fit(
         If model or loss is unknown, or the samples cannot determine the model.
     """
     if name not in MODELS:
-        raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(FITTED_MODELS)}")
-    if name not in FITTED_MODELS:
-        raise BadInput(
-            "it is evaluated here and not fitted", where=name, todo=f"choose from {', '.join(FITTED_MODELS)}"
-        )
+        raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(MODELS)}")
     if channels is not None:
         samples = samples.isel(channel=list(channels))
     data = _prepare(samples)

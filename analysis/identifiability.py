@@ -100,7 +100,7 @@ def half_width(problem: Problem, shapes: Array) -> float:
     for phi_h in (0.0, 0.5 * np.pi):
         # The light moves at right angles to the half vector's tilt, so that no cosine changes fast.
         wi, wo = from_half_difference(theta_h, phi_h, np.radians(20.0), 0.5 * np.pi)
-        lobe = Problem(problem.model, Geometry(wi, wo), 1).lobe(shapes)[0][:, 0]
+        lobe = Problem(problem.model, Geometry(wi, wo), 1).terms(shapes[None]).lobe[0]
         below = np.flatnonzero(lobe < 0.5 * lobe[0])
         widths.append(float(theta_h[below[0]]) if below.size else 0.5 * np.pi)
     return min(widths)

@@ -63,7 +63,7 @@ class _Profile:
         state = result.state
         self._result, self._problem = result, state.problem
         loss = state.loss.by_channel()
-        size = Linearised(state.problem, loss).size(state.problem.lobes(state.solution.shapes[None])[0])[0]
+        size = Linearised(state.problem, loss).size(state.problem.terms(state.solution.shapes[None]).lobe)[0]
         self._equations = Linearised(state.problem, loss, fixed_size=size)
         low, high = state.problem.bounds()
         scales = 2 * state.problem.channels

@@ -103,7 +103,7 @@ def follow(problem: Problem, loss: Loss, shapes: Array) -> list[Solution]:
         The M minima, best first.
     """
     whole = Linearised(problem, loss.by_channel())
-    kd, ks = whole.linear_scales(problem.lobes(shapes)[0])
+    kd, ks = whole.linear_scales(problem.terms(shapes))
     starts = [Solution(shapes[i], kd[i], ks[i], np.inf) for i in range(len(shapes))]
     return _refine(whole, starts, TOLERANCE)
 
@@ -122,11 +122,11 @@ def _scan(equations: Linearised) -> list[Solution]:
     problem, loss = equations.problem, equations.loss
     axes = [[p.coordinate.forward(value) for value in p.scan] for p in problem.shapes]
     points = np.array(list(itertools.product(*axes)))
-    lobe, _ = problem.lobes(points)
-    kd, ks = equations.linear_scales(lobe)
+    terms = problem.terms(points)
+    kd, ks = equations.linear_scales(terms)
     for _ in range(0 if loss.linear else REWEIGHTED):
-        kd, ks = solve_scales(loss.secant(equations.values(lobe, kd, ks)), loss.data, lobe)
-    residual = loss.residual(equations.values(lobe, kd, ks))
+        kd, ks = solve_scales(loss.secant(terms.values(kd, ks)), loss.data, terms.pair())
+    residual = loss.residual(terms.values(kd, ks))
     cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
     grid = cost.reshape([len(axis) for axis in axes])
     lowest = [
@@ -146,13 +146,13 @@ def _refine(equations: Linearised, starts: list[Solution], tolerance: float) -> 
         if shapes.size:
             found = descend(equations.shapes_alone, shapes, (low, high), tolerance=tolerance, most=MOST_STEPS)
             shapes = found.x
-        lobe, _ = problem.lobes(shapes)
-        kd, ks = equations.linear_scales(lobe)
-        residual = loss.residual(equations.values(lobe, kd, ks))
+        terms = problem.terms(shapes)
+        kd, ks = equations.linear_scales(terms)
+        residual = loss.residual(terms.values(kd, ks))
         cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
     else:
         kd, ks = np.array([s.kd for s in starts]), np.array([s.ks for s in starts])
-        size = equations.size(problem.lobes(shapes)[0])
+        size = equations.size(problem.terms(shapes).lobe)
         bottom, top = np.zeros(2 * problem.channels), np.full(2 * problem.channels, np.inf)
         x, cost = descend(
             equations.all_parameters,
@@ -162,7 +162,7 @@ def _refine(equations: Linearised, starts: list[Solution], tolerance: float) -> 
             most=MOST_STEPS,
         )
         shapes, kd, s = equations.unpack(x)
-        ks = s / equations.size(problem.lobes(shapes)[0])
+        ks = s / equations.size(problem.terms(shapes).lobe)
     ends = [Solution(shapes[i], kd[i], ks[i], float(cost[i])) for i in range(len(cost))]
     return sorted(ends, key=lambda solution: solution.cost)
 
@@ -173,65 +173,3 @@ def _distinct(solutions: list[Solution]) -> list[Solution]:
         if all(np.max(np.abs(solution.shapes - other.shapes), initial=0.0) > APART for other in kept):
             kept.append(solution)
     return kept
-
-
-@dataclass(frozen=True)
-class SearchJacobian:
-    """Derivatives of f by the search coordinates (shapes, then kd by channel, then s by channel).
-
-    Attributes
-    ----------
-    f : ndarray, shape (N, C)
-        The model.
-    columns : ndarray, shape (N, C, S + 2 C or S + C)
-        df / d coordinate.
-    size : ndarray, shape (C,)
-        |w lobe|, so that ks = s / size.
-    size_slopes : ndarray, shape (S, C)
-        Its logarithmic derivative by the shapes' coordinates.
-    """
-
-    f: Array
-    columns: Array
-    size: Array
-    size_slopes: Array
-
-
-def search_jacobian(problem: Problem, weight: Array, shapes: Array, kd: Array, ks: Array) -> SearchJacobian:
-    """Differentiate f by the search coordinates.
-
-    Parameters
-    ----------
-    problem : Problem
-        Directions and model.
-    weight : ndarray, shape (N, C)
-        The weights that define s.
-    shapes : ndarray, shape (S,)
-        Shapes in search coordinates.
-    kd, ks : ndarray, shape (C,)
-        Scales.
-
-    Returns
-    -------
-    SearchJacobian
-    """
-    lobe, slopes = problem.lobe(shapes)
-    size, size_slopes = _size(weight, lobe, slopes)
-    count, channels = weight.shape
-    visible = problem.geometry.visible[:, None]
-    each = np.eye(channels)
-    columns = [ks * (slope - lobe * relative) for slope, relative in zip(slopes, size_slopes, strict=True)]
-    scales = [np.where(visible, 1.0 / np.pi, 0.0) * each[c] for c in range(channels)]
-    if problem.has_lobe:
-        scales += [lobe / size * each[c] for c in range(channels)]
-    stacked = np.stack([np.broadcast_to(c, (count, channels)) for c in (*columns, *scales)], axis=-1)
-    f = np.where(visible, kd / np.pi, 0.0) + ks * lobe
-    return SearchJacobian(f, stacked, size, size_slopes)
-
-
-def _size(weight: Array, lobe: Array, slopes: list[Array]) -> tuple[Array, Array]:
-    weighted = weight * lobe
-    square = np.einsum("nc,nc->c", weighted, weighted)
-    square = np.where(square > 0.0, square, 1.0)
-    relative = [np.einsum("nc,nc->c", weighted, weight * slope) / square for slope in slopes]
-    return np.sqrt(square), np.array(relative).reshape(len(slopes), weight.shape[1])

@@ -259,7 +259,8 @@ def test_scales_are_the_best_non_negative_ones():
     weight = random.random((40, 200)) + 0.1
     lobe = random.random((40, 1)) + random.integers(0, 2)
     data = random.standard_normal((40, 200)) + random.standard_normal(200)
-    kd, ks = solve_scales(weight.T, data.T, lobe[:, 0])
+    pair = np.stack([np.full(40, 1.0 / np.pi), lobe[:, 0]])
+    kd, ks = solve_scales(weight.T, data.T, pair)
     assert np.all(kd >= 0.0)
     assert np.all(ks >= 0.0)
     assert np.any(kd == 0.0)
