@@ -1,70 +1,52 @@
-"""Reflectance models: each describes its own parameters, evaluates in float64, and knows its derivatives."""
+"""Reflectance models: each describes its own parameters, evaluates in float64, and knows its derivatives.
+
+A new model is one file in this folder: `discover` finds every class in it that has a NAME.
+"""
 
 from __future__ import annotations
 
+import pkgutil
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from analysis.models.abc import ABC
-from analysis.models.anisotropic import BeckmannAnisotropic, GGXAnisotropic
-from analysis.models.ashikhmin_shirley import AshikhminShirley
-from analysis.models.beckmann import Beckmann, BeckmannSeparable
-from analysis.models.blinn_phong import BlinnPhong
-from analysis.models.cook_torrance import CookTorrance, CookTorrance1982
-from analysis.models.cook_torrance_facets import CookTorranceConductor, CookTorranceGGX, CookTorranceSchlick
-from analysis.models.ggx import GGX, GGXConductor, GGXDielectric, GGXSeparable
-from analysis.models.lafortune import Lafortune, LafortuneRetro
-from analysis.models.lambert import Lambert
-from analysis.models.oren_nayar import Fujii, OrenNayar
-from analysis.models.phong import ModifiedPhong, Phong
-from analysis.models.sgd import SGD
-from analysis.models.torrance_sparrow import (
-    TorranceSparrowCosine,
-    TorranceSparrowGauss,
-    TorranceSparrowTrowbridgeReitz,
-)
-from analysis.models.two_lobes import GGXRetro, GGXTwoLobes
-from analysis.models.ward import Ward, WardBounded, WardDuer
+from analysis.models.base import Model
 
 if TYPE_CHECKING:
-    from analysis.models.base import Model
+    from collections.abc import Iterable
 
-MODELS: dict[str, type[Model]] = {
-    model.NAME: model
-    for model in (
-        Lambert,
-        Phong,
-        ModifiedPhong,
-        BlinnPhong,
-        Lafortune,
-        LafortuneRetro,
-        Ward,
-        WardDuer,
-        WardBounded,
-        TorranceSparrowCosine,
-        TorranceSparrowGauss,
-        TorranceSparrowTrowbridgeReitz,
-        CookTorrance1982,
-        CookTorrance,
-        CookTorranceSchlick,
-        CookTorranceConductor,
-        CookTorranceGGX,
-        Beckmann,
-        BeckmannSeparable,
-        GGX,
-        GGXSeparable,
-        GGXDielectric,
-        GGXConductor,
-        GGXTwoLobes,
-        GGXRetro,
-        BeckmannAnisotropic,
-        GGXAnisotropic,
-        ABC,
-        SGD,
-        OrenNayar,
-        Fujii,
-        AshikhminShirley,
-    )
-}
+
+def discover(folders: Iterable[str]) -> dict[str, type[Model]]:
+    """Import the modules of this package that lie in some folders, and collect the models they define.
+
+    Parameters
+    ----------
+    folders : iterable of str
+        Folders on this package's `__path__`.
+
+    Returns
+    -------
+    dict of str to type of Model
+        By name, in alphabetical order.
+
+    Raises
+    ------
+    ValueError
+        If two classes have the same name: a mistake of whoever wrote the second.
+    """
+    found: dict[str, type[Model]] = {}
+    for module in pkgutil.iter_modules(folders, prefix=f"{__name__}."):
+        for value in vars(import_module(module.name)).values():
+            if not isinstance(value, type) or not issubclass(value, Model):
+                continue
+            if value.__module__ != module.name or not hasattr(value, "NAME"):
+                continue
+            if value.NAME in found:
+                raise ValueError(f"{value} and {found[value.NAME]} are both called {value.NAME}")
+            found[value.NAME] = value
+    return dict(sorted(found.items()))
+
+
+MODELS: dict[str, type[Model]] = discover(__path__)
 """Every model by name: `MODELS[name](**parameters).evaluate(wi, wo)`."""
 
 DEFAULT_MODELS: tuple[str, ...] = (
@@ -77,5 +59,5 @@ DEFAULT_MODELS: tuple[str, ...] = (
 )
 """What is fitted when nobody says which: few enough to look at, and known to the twin."""
 
-FITTED_MODELS: tuple[str, ...] = tuple(name for name, model in MODELS.items() if model.LAMBERT_TERM)
-"""What can be fitted: Lambert's term and a lobe."""
+FITTED_MODELS: tuple[str, ...] = tuple(MODELS)
+"""What can be fitted: all that is linear in kd and ks."""

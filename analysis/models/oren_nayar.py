@@ -31,6 +31,9 @@ ROUGHNESS = Parameter(
     maximum=1.0,
 )
 
+LOSS = 0.5 - 2.0 / (3.0 * np.pi)
+"""What roughness 1 takes from the level of `Fujii`, over what is left."""
+
 
 @dataclass(frozen=True, eq=False)
 class OrenNayar(OwnDiffuse):
@@ -75,7 +78,7 @@ class Fujii(OwnDiffuse):
     s is the dot product in the surface, t the larger cosine where s > 0, else 1 (Fujii 2012, "A tiny
     improvement of Oren-Nayar reflectance model"; so written by Portsmouth, Kutz & Hill 2024). Without
     `OrenNayar`'s break at right angles, and with a directional albedo that never exceeds kd. The light that
-    goes between facets, which Portsmouth et al. add, is not linear in kd and is not here.
+    goes between facets, which Portsmouth et al. add, is in `EON`.
 
     Parameters
     ----------
@@ -94,14 +97,26 @@ class Fujii(OwnDiffuse):
 
     def terms_at(self, geometry: Geometry) -> dict[str, Lobe]:
         """Return the diffuse term and its derivative by roughness."""
-        roughness = np.asarray(self.roughness)
-        dot = geometry.tangential_dot
-        towards = dot / np.where(dot > 0.0, np.maximum(geometry.cos_i, geometry.cos_o), 1.0)
-        # 1 + s cancels where light and camera graze from opposite sides: twice it is a sum of squares.
-        sideways = geometry.half[..., 0:1], geometry.half[..., 1:2]
-        squares = sum(np.square(x) for x in (*sideways, geometry.cos_i, geometry.cos_o))
-        raised = np.where(dot > 0.0, 1.0 + towards, 0.5 * squares)
-        norm = 0.5 - 2.0 / (3.0 * np.pi)
-        level = 1.0 / (1.0 + norm * roughness)
-        value = level * ((1.0 - roughness) + roughness * raised) / np.pi
-        return {"kd": Lobe(value, {"roughness": np.square(level) * (towards - norm) / np.pi})}
+        return {"kd": fujii_term(geometry, self.roughness)}
+
+
+def fujii_term(geometry: Geometry, roughness: ArrayLike) -> Lobe:
+    """Return f_r of `Fujii` at kd = 1, in 1/sr, and its derivative by roughness.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The pairs of directions.
+    roughness : float or array_like, shape (channels,)
+        0 to 1.
+    """
+    r = np.asarray(roughness)
+    dot = geometry.tangential_dot
+    towards = dot / np.where(dot > 0.0, np.maximum(geometry.cos_i, geometry.cos_o), 1.0)
+    # 1 + s cancels where light and camera graze from opposite sides: twice it is a sum of squares.
+    sideways = geometry.half[..., 0:1], geometry.half[..., 1:2]
+    squares = sum(np.square(x) for x in (*sideways, geometry.cos_i, geometry.cos_o))
+    raised = np.where(dot > 0.0, 1.0 + towards, 0.5 * squares)
+    level = 1.0 / (1.0 + LOSS * r)
+    value = level * ((1.0 - r) + r * raised) / np.pi
+    return Lobe(value, {"roughness": np.square(level) * (towards - LOSS) / np.pi})
