@@ -1,21 +1,16 @@
 """Which light paths a scene can have, and the cheapest method that covers them: decided before rendering.
 
-Paths are words in Heckbert's notation (1990): L the lamp, D a scattering event, S a mirror-like one, E the
-camera. Both what a scene can have and what a method covers are regular expressions over these letters; a
-method will do when every word of the scene's is one of its own.
+Both what a scene can have and what a method covers are sets of light paths (`simulator.light_paths`); a
+method will do when every path of the scene's is one of its own.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import product
 
 from rig.errors import Refused
-
-LONGEST = 6
-"""Scattering events up to which two expressions are compared: none here tells longer words apart."""
+from simulator.light_paths import LightPaths
 
 
 class Method(StrEnum):
@@ -116,13 +111,6 @@ class Decision:
     error: str
 
 
-def words(expression: str) -> frozenset[str]:
-    """Words of an expression, with up to `LONGEST` events between lamp and camera."""
-    pattern = re.compile(expression) if expression else None
-    letters = ("".join(events) for n in range(LONGEST + 1) for events in product("DS", repeat=n))
-    return frozenset(f"L{middle}E" for middle in letters if pattern and pattern.fullmatch(f"L{middle}E"))
-
-
 def choose_method(facts: SceneFacts, *, vector: bool) -> Decision:
     """Choose the cheapest method that covers every light path of a scene.
 
@@ -142,10 +130,10 @@ def choose_method(facts: SceneFacts, *, vector: bool) -> Decision:
     Refused
         No method covers the scene.
     """
-    needed = words(facts.expression)
+    needed = LightPaths(facts.expression)
     for method, ability in ABILITIES.items():
         runs = ability.vector if vector else ability.scalar
         knows = ability.any_material or facts.closed_form
-        if runs and knows and needed <= words(ability.covers):
+        if runs and knows and needed <= LightPaths(ability.covers):
             return Decision(facts.expression, method, ability.error)
     raise Refused(f"no method covers the light paths {facts.expression}", todo="simplify the scene")
