@@ -29,7 +29,7 @@ from rig.description import default_rig
 from rig.kinematics import Kinematics
 from rig.ticks import rad_to_ticks, ticks_to_rad
 from simulator.frames import true_white_rho
-from simulator.light import Renderer
+from simulator.light.renderer import Renderer
 from simulator.sensor import RGGB, Sensor, derived_seed
 from simulator.truth import residual_ticks
 

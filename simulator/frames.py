@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulator.dng import DngMeta, exact_seconds, write_dng
-from simulator.light import Renderer
+from simulator.light.renderer import Renderer
 from simulator.materials import ClosedFormMaterial
 from simulator.sensor import RGGB, Sensor, derived_seed
 

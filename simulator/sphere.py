@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rig.angles import spherical_to_direction, unit
 from simulator import bsdfs
+from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.materials import CHANNELS, ClosedFormMaterial, closed_form_material, parse_material
-from simulator.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:

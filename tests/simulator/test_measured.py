@@ -11,8 +11,8 @@ from analysis.formats.tensor import read_tensors, write_tensors
 from analysis.models import MODELS
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
+from simulator.light.reflectance import mitsuba_reflectance
 from simulator.materials import parse_material
-from simulator.reflectance import mitsuba_reflectance
 from simulator.variant import LLVM, SCALAR, choose_variant, load_mitsuba
 
 pytestmark = pytest.mark.render

@@ -1,7 +1,7 @@
 """Radiance of a pose: what the wheel holds, lit by the lamp and seen by the camera.
 
 For each station the light paths are written down and the cheapest method that covers them is chosen, once,
-when the station is first looked at (`simulator.paths`).
+when the station is first looked at (`simulator.light.choice`).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator import bsdfs
+from simulator.light.choice import Decision, Method, SceneFacts, choose_method
+from simulator.light.path_tracer import PathLight
+from simulator.light.pixel_centres import PixelCentreLight
+from simulator.light.pixelwise import PixelwiseLight
+from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.materials import ClosedFormMaterial, load_bsdf, station_materials
-from simulator.paths import Decision, Method, SceneFacts, choose_method
-from simulator.pixel_centres import PixelCentreLight
-from simulator.pixelwise import PixelwiseLight
-from simulator.reference import PathLight
-from simulator.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rig.errors import Refused
 from rig.kinematics import Kinematics
-from simulator import scene
+from simulator.light import scene
 from simulator.materials import load_bsdf
 from simulator.sensor import derived_seed
 

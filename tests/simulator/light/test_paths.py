@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.errors import BadInput
-from simulator.light_paths import LightPaths
+from simulator.light.paths import LightPaths
 
 ALL = LightPaths("L(D|S)*E")
 

@@ -1,6 +1,6 @@
 """Which light paths a scene can have, and the cheapest method that covers them: decided before rendering.
 
-Both what a scene can have and what a method covers are sets of light paths (`simulator.light_paths`); a
+Both what a scene can have and what a method covers are sets of light paths (`simulator.light.paths`); a
 method will do when every path of the scene's is one of its own.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from rig.errors import Refused
-from simulator.light_paths import LightPaths
+from simulator.light.paths import LightPaths
 
 
 class Method(StrEnum):

@@ -12,14 +12,14 @@ from rig.errors import BadInput, Refused
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator import bsdfs
-from simulator.light import Renderer
-from simulator.light_paths import LightPaths
+from simulator.light.choice import ABILITIES, Method, SceneFacts, choose_method
+from simulator.light.path_tracer import PathLight
+from simulator.light.paths import LightPaths
+from simulator.light.pixel_centres import PixelCentreLight
+from simulator.light.pixelwise import PixelwiseLight
+from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
+from simulator.light.renderer import Renderer
 from simulator.materials import ClosedFormMaterial, parse_material
-from simulator.paths import ABILITIES, Method, SceneFacts, choose_method
-from simulator.pixel_centres import PixelCentreLight
-from simulator.pixelwise import PixelwiseLight
-from simulator.reference import PathLight
-from simulator.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.variant import LLVM, choose_variant, load_mitsuba
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
+from simulator.light.scene import camera_rays, point_lamp
 from simulator.materials import load_bsdf
-from simulator.scene import camera_rays, point_lamp
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
