@@ -1,7 +1,9 @@
 """The formats that samples come in, told apart by content: a suffix is a wish, not a fact.
 
 Each module offers `NAME`, `OPTIONS`, `sniff(head) -> bool` and `read(path, ...) -> Dataset`; some also
-`SUFFIX` and `write(samples, path)`, which returns what the file loses of the samples.
+`SUFFIX` and `write(samples, path)`, which returns what the file loses of the samples. `OPEN_END` says that a
+file of the format does not tell where it ends, so that what is cut short must be guessed (`doubts`). `sniff`
+sees a text without its mark and with lines that end in LF.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from analysis.formats.text import BYTE_ORDER_MARK, looks_like_text
 from rig.errors import BadInput
 from rig.files import whole_file
 
@@ -69,6 +72,11 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
                 todo="leave it out",
             )
     samples: xr.Dataset = module.read(path, **given)
+    if getattr(module, "OPEN_END", False):
+        from analysis.formats.doubts import ATTRIBUTE, doubts
+
+        why = doubts(samples, path)
+        return samples.assign_attrs({ATTRIBUTE: why}) if why else samples
     return samples
 
 
@@ -125,6 +133,8 @@ def _recognise(path: Path) -> ModuleType:
         raise BadInput(f"is {size / 1024**3:.1f} GB, more than gonio reads", where=str(path))
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
+    if looks_like_text(head):  # the formats look for lines, whichever way they end
+        head = head.removeprefix(BYTE_ORDER_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     modules = _modules()
     for module in modules:
         if module.sniff(head):

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 
 NAME = "ALTA text"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 COORDINATES = {
     "CARTESIAN": 6,
     "SPHERICAL_TL_PL_TV_PV": 4,

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 NAME = "ASTM E1392/E2387"
 SUFFIX = ".astm"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 REQUIRED = ("theta_i", "theta_s", "phi_s")
 _VARS = re.compile(rb"^[ \t]*VARS[ \t]+[^\r\n]*theta_i", re.MULTILINE)

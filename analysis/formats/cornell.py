@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 NAME = "Cornell .brdf"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 ANGLES = ("theta i", "phi i", "theta s", "phi s")
 MOST_WAVELENGTHS = 100_000
 # No alternative takes what another can: two ways to take the same blanks would try all their mixtures.

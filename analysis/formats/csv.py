@@ -2,7 +2,9 @@
 
 Required columns: `theta_i_deg`, `phi_i_deg`, `theta_o_deg`, `phi_o_deg` and the BRDF, either `f_r` or one
 `f_r_NAME` a channel; optional `u_f_r` or `u_f_r_NAME`. A NAME like `550nm` is a wavelength. Lines that start
-with `#` are comments. Correlated uncertainty columns do not fit in a table: NetCDF keeps them.
+with `#` are comments; the first may say `# 48 samples`, which must hold then. A spreadsheet's semicolons or
+tabs between cells are read too, with commas in numbers. Correlated uncertainty columns do not fit in a table:
+NetCDF keeps them.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.text import looks_like_text, number, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
 from rig.errors import BadInput
@@ -27,8 +29,11 @@ if TYPE_CHECKING:
 NAME = "gonio CSV"
 SUFFIX = ".csv"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
 _WAVELENGTH = re.compile(r"\A(\d+(?:\.\d+)?) ?nm\Z")
+_COUNT = re.compile(r"\A# ?(\d{1,12}) samples\Z")
+LARGEST_POLAR_DEG = 180.0
 
 
 def sniff(head: bytes) -> bool:
@@ -50,17 +55,19 @@ def read(path: Path) -> xr.Dataset:
         If a column is missing, unknown or double, a row has the wrong length, or a cell is no finite number;
         names line and column.
     """
+    content = read_lines(path)
     lines = [
         (line, text)
-        for line, text in enumerate(read_lines(path), start=1)
+        for line, text in enumerate(content, start=1)
         if text.strip() and not text.lstrip().startswith("#")
     ]
     header_line, header_text = lines[0]
-    header = _cells(header_text, f"{path}: line {header_line}")
+    separator = separator_of(header_text)
+    header = _cells(header_text, separator, f"{path}: line {header_line}")
     values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
     rows = []
     for line, text in lines[1:]:
-        cells = _cells(text, f"{path}: line {line}")
+        cells = _cells(text, separator, f"{path}: line {line}")
         if len(cells) != len(header):
             raise BadInput(
                 f"has {len(cells)} cells, the header {len(header)}",
@@ -69,12 +76,14 @@ def read(path: Path) -> xr.Dataset:
             )
         rows.append(
             [
-                number(cell, where=f"{path}: line {line}, column {name}")
+                number(cell, where=f"{path}: line {line}, column {name}", decimal_comma=separator != ",")
                 for name, cell in zip(header, cells, strict=True)
             ]
         )
+        _check_polar(dict(zip(header, rows[-1], strict=True)), f"{path}: line {line}")
     if not rows:
         raise BadInput("has a header but no rows", where=str(path), todo="add samples")
+    _check_count(content[0], len(rows), f"{path}: line 1")
     table = dict(zip(header, np.array(rows).T, strict=True))
     theta_i, phi_i, theta_o, phi_o = (np.radians(table[name]) for name in ANGLES)
     names = [name.removeprefix("f_r").removeprefix("_") for name in values]
@@ -105,15 +114,36 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
         columns += [*samples["u_f_r"].to_numpy().T]
     usable = np.isfinite(np.stack(columns)).all(axis=0) & (samples["flags"].to_numpy() == 0).all(axis=1)
     with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
+        stream.write(f"# {np.count_nonzero(usable)} samples\n")
+        writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(header)
         writer.writerows([repr(float(cell)) for cell in row] for row in np.stack(columns, axis=1)[usable])
     return unchanged(samples, int(np.count_nonzero(usable)), kept=("u_f_r", "wavelength_nm"))
 
 
-def _cells(text: str, where: str) -> list[str]:
+def _check_polar(row: dict[str, float], where: str) -> None:
+    for name in ("theta_i_deg", "theta_o_deg"):
+        if abs(row[name]) > LARGEST_POLAR_DEG:
+            raise BadInput(
+                f"{row[name]:g} is no polar angle in degrees",
+                where=f"{where}, column {name}",
+                todo="polar angles are counted from the normal; perhaps columns are exchanged",
+            )
+
+
+def _check_count(first: str, count: int, where: str) -> None:
+    announced = _COUNT.match(first.strip().strip(";,\t"))
+    if announced and int(announced[1]) != count:
+        raise BadInput(
+            f"announces {announced[1]} samples, {count} follow",
+            where=where,
+            todo="the file was cut short: copy it again; if you changed its rows, remove the line",
+        )
+
+
+def _cells(text: str, separator: str, where: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(csv.reader([text]))]
+        return [cell.strip() for cell in next(csv.reader([text], delimiter=separator))]
     except csv.Error as error:
         raise BadInput(f"is no row of a table ({error})", where=where, todo="correct the line") from None
 

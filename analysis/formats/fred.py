@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 NAME = "FRED text"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 COLUMNS = ("theta_s", "phi_s", "f")
 INCIDENCE = ("theta_i", "phi_i")
 _START = re.compile(rb"\A(?:\xef\xbb\xbf)?type[ \t]+bsdf_data\b", re.IGNORECASE)

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 
 NAME = "in-plane table"
 OPTIONS = ("material", "as_published")
+OPEN_END = True
 POLAR = ("theta_i_deg", "theta_o_deg")
 VALUES = ("f_r", "radiance_L_o")
 ANGLES = ("phi_i", "theta_i", "phi_o", "theta_o")

@@ -1,9 +1,13 @@
-"""Gonio's own store: the Dataset as NetCDF-4, with units as attributes and every uncertainty column."""
+"""Gonio's own store: the Dataset as NetCDF-4, with units as attributes and every uncertainty column.
+
+The file ends in a checksum of its content, see `analysis.formats.hdf5`.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from analysis.formats import hdf5
 from analysis.formats.loss import Loss
 from analysis.samples import DIMENSIONS, PER_CHANNEL, UNITS, make_samples
 from rig.errors import BadInput
@@ -28,6 +32,7 @@ _DAMAGE = (
     AttributeError,
     UnicodeDecodeError,
     IndexError,
+    MemoryError,
 )
 
 
@@ -46,6 +51,7 @@ def read(path: Path) -> xr.Dataset:
     """
     import xarray as xr
 
+    hdf5.require_harmless(path)
     try:
         store = xr.backends.H5NetCDFStore(_whole_file(path))
         with xr.open_dataset(store, cache=False) as opened:
@@ -87,7 +93,7 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
         },
     )
     # Made in memory: where the disk is full, HDF5 cannot even close its file, and ends the process.
-    path.write_bytes(content)
+    path.write_bytes(hdf5.sealed(bytes(content)))
     return Loss(samples.sizes["sample"])
 
 
@@ -112,8 +118,9 @@ def _check(opened: xr.Dataset, path: Path) -> None:
                 todo="reduce the session again, or name the variables wi, wo, f_r",
             )
     total = sum(variable.size for variable in opened.variables.values())
-    if total > MOST_VALUES:
-        raise BadInput(f"declares {total} values, more than gonio reads", where=str(path))
+    size = sum(variable.size * variable.dtype.itemsize for variable in opened.variables.values())
+    if total > MOST_VALUES or size > path.stat().st_size * hdf5.MOST_COMPRESSION:
+        raise BadInput(f"declares {total} values, more than it can hold", where=str(path))
     for name in UNITS:
         expected = DIMENSIONS.get(name, PER_CHANNEL)
         if name in opened and opened[name].dims != expected:

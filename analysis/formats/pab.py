@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 
 NAME = "Radiance PAB text"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 SUFFIX = ".pab"
 
 WITH_COSINE = "dsf"

@@ -33,6 +33,7 @@ NAME = "SSDD"
 SUFFIX = ".ssdd"
 VERSION = "0.2"
 OPTIONS: tuple[str, ...] = ()
+OPEN_END = True
 COUNTS = {"monochrome": 1, "rgb": 3, "xyz": 3}
 SYSTEMS = ("spherical_coordinate_system", "specular_coordinate_system", "half_difference_coordinate_system")
 HORIZON = 1e-9

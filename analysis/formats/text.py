@@ -11,7 +11,11 @@ from rig.errors import BadInput
 if TYPE_CHECKING:
     from pathlib import Path
 
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 LARGEST_TEXT_BYTES = 64 * 1024**2
+
+SEPARATORS = (";", "\t", ",")
+"""What may stand between cells; where it is no comma, a comma may stand in numbers."""
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
 
@@ -45,7 +49,12 @@ def read_lines(path: Path) -> list[str]:
     return _LINE_END.split(text.removesuffix("\n").removesuffix("\r")) if text else []
 
 
-def number(text: str, *, where: str) -> float:
+def separator_of(header: str) -> str:
+    """Return what separates the cells of a table, told by the line that names its columns."""
+    return next((separator for separator in SEPARATORS if separator in header), ",")
+
+
+def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
     """Convert a table's cell.
 
     Parameters
@@ -54,6 +63,8 @@ def number(text: str, *, where: str) -> float:
         The cell.
     where : str
         File, line and column, for the error.
+    decimal_comma : bool
+        Whether the decimals may follow a comma, as where cells are separated by semicolons.
 
     Returns
     -------
@@ -65,12 +76,15 @@ def number(text: str, *, where: str) -> float:
     BadInput
         If it is no number, or not a finite one.
     """
+    written = text.replace(",", ".") if decimal_comma and "." not in text else text
     try:
-        value = float(text)
+        # Python alone would take 1_0 for ten, and the digits of other scripts.
+        value = float(written) if written.isascii() and "_" not in written else None
     except ValueError:
-        comma = "," in text
-        todo = "write decimals with a point" if comma else "correct or remove the row"
-        raise BadInput(f"'{text[:40]}' is not a number", where=where, todo=todo) from None
+        value = None
+    if value is None:
+        todo = "write decimals with a point" if "," in text else "correct or remove the row"
+        raise BadInput(f"'{text[:40]}' is not a number", where=where, todo=todo)
     if not math.isfinite(value):
-        raise BadInput(f"'{text}' is not a finite number", where=where, todo="correct or remove the row")
+        raise BadInput(f"'{text[:40]}' is not a finite number", where=where, todo="correct or remove the row")
     return value

@@ -1,0 +1,65 @@
+"""A process that reads the files it is told, one a line, and answers with one JSON line each.
+
+Its memory may grow by `ROOM` at most, so that a reader that believes a damaged header fails here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from analysis.formats import alta, astm, cornell, csv, fred, inplane, klems, merl, npz, pab, rgl, ssdd, zemax
+from analysis.samples import read
+from rig.errors import BadInput
+
+ROOM = 1024**3
+WARM = (alta, astm, cornell, csv, fred, inplane, klems, merl, npz, pab, rgl, ssdd, zemax)
+"""Imported before memory is limited."""
+
+
+def main() -> None:
+    """Answer until the input ends."""
+    limit_memory()
+    for line in sys.stdin:
+        started = time.process_time()
+        answer = outcome(Path(line.rstrip("\n")))
+        sys.stdout.write(json.dumps([*answer, time.process_time() - started]) + "\n")
+        sys.stdout.flush()
+
+
+def limit_memory() -> None:
+    """Allow `ROOM` more than is taken now, where the system can."""
+    import resource
+
+    import h5netcdf  # noqa: F401
+    import xarray  # noqa: F401
+    import xlrd  # noqa: F401
+
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + ROOM
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def outcome(path: Path) -> tuple[str, str, list[str]]:
+    """Return what happened: the samples' digest and those of their rows, or the complaint."""
+    try:
+        samples = read(path)
+    except BadInput as error:
+        return "refused", str(error), []
+    except BaseException as error:  # noqa: BLE001 - what must not happen is told, not raised
+        return "failed", f"{type(error).__name__}: {error}", []
+    columns = [samples[name].to_numpy() for name in ("wi", "wo", "f_r")]
+    rows = [
+        hashlib.md5(row.tobytes(), usedforsecurity=False).hexdigest()[:8]
+        for row in np.concatenate(columns, axis=1)
+    ]
+    return "read", str(samples.attrs.get("doubts", "")), rows
+
+
+if __name__ == "__main__":
+    main()

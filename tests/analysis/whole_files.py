@@ -1,0 +1,160 @@
+"""One small whole file of every format that gonio reads, each made by a writer or written here by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.formats.tensor import write_tensors
+from analysis.samples import make_samples, write
+from rig.angles import spherical_to_direction
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+CORNELL = "# paint\n2\n# wls\n500 600\n\n" + "".join(
+    f"0.{i} 0.0 0.6 1.{j} 0.25{i} 0.5{j}\n" for i in range(1, 5) for j in range(4)
+)
+ALTA = "#DIM 4 1\n#PARAM_IN  SPHERICAL_TL_PL_TV_PV\n#PARAM_OUT INV_STERADIAN\n" + "".join(
+    f"0.{i} 0 0.{j} 3.{i} 0.25{j}\n" for i in range(1, 5) for j in range(1, 5)
+)
+FRED = "type bsdf_data\nformat angles=deg bsdf=value scale=1\n" + "".join(
+    f"{i}\t0\n" + "".join(f"{j}\t{p}\t0.0{i}{j}\n" for j in (5, 10, 20) for p in (0, 90, 180))
+    for i in (10, 20, 30)
+)
+RADIANCE = "material,theta_o_deg,theta_i_deg,radiance_L_o\n" + "".join(
+    f"Kupfer,{o},{i},0.0{o}{i}\n" for o in (15, 30, 45) for i in (10, 20, 40, 60)
+)
+CHASSIS = (
+    "# (phi_i, theta_i) are the zenith and azimuth angles\n# at a wavelength lambda = 532 nm\n"
+    "# phi_i theta_i phi_o theta_o brdf\n"
+) + "".join(f"{i}. 0. {o}. 180. 0.1{i}{o + 90}\n" for i in (5, 30, 60) for o in (-60, -20, 20, 60))
+ZEMAX = (
+    "# a comment\nSource\tMeasured\nSymmetry\tPlaneSymmetrical\nSpectralContent\tMonochrome\n"
+    "ScatterType\tBRDF\nSampleRotation\t1\n0\nAngleOfIncidence\t2\n10\t40\nScatterAzimuth\t3\n0\t90\t180\n"
+    "ScatterRadial\t4\n0\t5\t20\t40\n\nMonochrome\nDataBegin\n"
+    + "".join(
+        f"TIS\t0.{b}\n" + "".join(f"0.1\t0.2{a}\t0.3{b}\t0.4{a}{b}\n" for a in (1, 2, 3)) for b in (1, 2)
+    )
+    + "DataEnd\n"
+)
+KLEMS_BLOCKS = "".join(
+    f"<AngleBasisBlock><Theta>{theta}</Theta><nPhis>{count}</nPhis></AngleBasisBlock>\n"
+    for theta, count in ((0, 1), (30, 4), (60, 3))
+)
+KLEMS = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n<WindowElement>\n<Optical><Layer><DataDefinition>\n'
+    "<IncidentDataStructure>Columns</IncidentDataStructure>\n"
+    f"<AngleBasis><AngleBasisName>Own</AngleBasisName>\n{KLEMS_BLOCKS}</AngleBasis></DataDefinition>\n"
+    "<WavelengthData><Wavelength>Visible</Wavelength><WavelengthDataBlock>\n"
+    "<WavelengthDataDirection>Reflection Front</WavelengthDataDirection>\n"
+    "<ColumnAngleBasis>Own</ColumnAngleBasis><RowAngleBasis>Own</RowAngleBasis>\n<ScatteringData>\n"
+    + "".join(", ".join(f"0.{row}{column}" for column in range(1, 9)) + ",\n" for row in range(1, 9))
+    + "</ScatteringData></WavelengthDataBlock></WavelengthData></Layer></Optical>\n</WindowElement>\n"
+)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole file.
+
+    Attributes
+    ----------
+    path : Path
+        Where it lies.
+    module : str
+        The format's name in `analysis.formats.NAMES`.
+    separator : bytes or None
+        What separates the cells of a text: blanks where None.
+    binary : bool
+        Whether it is no text.
+    counted : bool
+        Whether the format says, anywhere, how many samples there are.
+    """
+
+    path: Path
+    module: str
+    separator: bytes | None = None
+    binary: bool = False
+    counted: bool = True
+
+
+def make_whole_files(folder: Path) -> dict[str, Whole]:
+    """Write one file of each format into a folder, under names that say nothing to a reader."""
+    texts = {
+        "cornell": (CORNELL, "cornell", None, True),
+        "alta": (ALTA, "alta", None, False),
+        "fred": (FRED, "fred", None, False),
+        "radiance": (RADIANCE, "inplane", b",", False),
+        "chassis": (CHASSIS, "inplane", None, False),
+        "zemax": (ZEMAX, "zemax", None, True),
+        "klems": (KLEMS, "klems", None, True),
+    }
+    files = {}
+    for name, (text, module, separator, counted) in texts.items():
+        path = folder / f"{name}.dat"
+        path.write_bytes(text.encode())
+        files[name] = Whole(path, module, separator, counted=counted)
+    grid, one = _grid(), _grid().isel(sample=slice(0, 24))
+    _written(grid, folder, "netcdf", ".nc")
+    _written(grid, folder, "csv", ".csv")
+    _written(grid, folder, "astm", ".astm")
+    _written(grid, folder, "ssdd", ".ssdd")
+    _written(one.isel(channel=[0]), folder, "pab", ".pab")
+    np.savez(folder / "npz.npz", wi=grid["wi"], wo=grid["wo"], f_r=grid["f_r"])
+    (folder / "npz.npz").rename(folder / "npz.dat")
+    write_tensors(folder / "rgl.dat", _tensors())
+    files["csv"] = Whole(folder / "csv.dat", "csv", b",")
+    files["astm"] = Whole(folder / "astm.dat", "astm", b",")
+    files["ssdd"] = Whole(folder / "ssdd.dat", "ssdd")
+    files["pab"] = Whole(folder / "pab.dat", "pab", counted=False)
+    for name in ("netcdf", "npz", "rgl"):
+        files[name] = Whole(folder / f"{name}.dat", name, binary=True)
+    return files
+
+
+def make_merl(folder: Path) -> Whole:
+    """Write a MERL table, of the one size that they have."""
+    path = folder / "merl.dat"
+    values = np.random.default_rng(4).random((3, 90 * 90 * 180))
+    path.write_bytes(np.array([90, 90, 180], "<i4").tobytes() + values.astype("<f8").tobytes())
+    return Whole(path, "merl", binary=True)
+
+
+def _written(samples: xr.Dataset, folder: Path, name: str, suffix: str) -> None:
+    write(samples, folder / f"{name}{suffix}")
+    (folder / f"{name}{suffix}").rename(folder / f"{name}.dat")
+
+
+def _grid() -> xr.Dataset:
+    """Make samples on a full grid of 2 x 1 x 4 x 6 directions."""
+    grid = np.meshgrid([10.0, 60.0], [0.0], [5.0, 20.0, 40.0, 70.0], np.arange(6) * 60.0, indexing="ij")
+    theta_i, phi_i, theta_o, phi_o = np.radians([axis.ravel() for axis in grid])
+    values = np.random.default_rng(2).uniform(0.01, 1.0, (theta_i.size, 2))
+    return make_samples(
+        spherical_to_direction(theta_i, phi_i),
+        spherical_to_direction(theta_o, phi_o),
+        values,
+        wavelength_nm=[450.0, 632.8],
+        u_noise=0.01 * values,
+    )
+
+
+def _tensors() -> dict[str, np.ndarray]:
+    """Make a measured BSDF of 3 incidences with 6 x 6 nodes."""
+    random = np.random.default_rng(3)
+    return {
+        "theta_i": np.array([0.0, 0.6, 1.2], np.float32),
+        "phi_i": np.zeros(1, np.float32),
+        "sigma": np.full((2, 8), 0.25, np.float32),
+        "ndf": random.uniform(0.5, 1.0, (2, 8)).astype(np.float32),
+        "vndf": random.uniform(0.5, 1.0, (1, 3, 6, 6)).astype(np.float32),
+        "luminance": random.uniform(0.5, 1.0, (1, 3, 6, 6)).astype(np.float32),
+        "rgb": random.uniform(0.1, 0.5, (1, 3, 3, 6, 6)).astype(np.float32),
+        "jacobian": np.ones(1, np.uint8),
+        "description": np.frombuffer(b"hand-made", np.uint8),
+    }
