@@ -19,10 +19,11 @@ from analysis.fit import fit
 from analysis.solver import minimise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     import xarray as xr
 
+    from analysis.factored_fit import FactoredFit
     from analysis.fit import FitResult
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ class Candidate:
 
     Attributes
     ----------
-    result : FitResult
+    result : FitResult or FactoredFit
         The fit to all samples.
     cross_validation : float
         Root of the mean squared residual, in the loss's own measure, of incidences left out; NaN where there
@@ -50,7 +51,7 @@ class Candidate:
         Bayesian information criterion; only differences mean something.
     """
 
-    result: FitResult
+    result: FitResult | FactoredFit
     cross_validation: float
     squares: Array
     bic: float
@@ -96,6 +97,12 @@ def compare(
         candidates.append(judge(fit(samples, name, loss=loss)))
         if told is not None:
             told(name)
+    return ranked(candidates)
+
+
+def ranked(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Sort by cross-validation, best first; by BIC where one of them could not be cross-validated."""
+    candidates = list(candidates)
     known = all(np.isfinite(each.cross_validation) for each in candidates)
     return sorted(candidates, key=lambda each: each.cross_validation if known else each.bic)
 
@@ -112,11 +119,15 @@ def bic(result: FitResult) -> float:
 
     chi-square + k ln n where the loss holds the uncertainties; else n ln(mean square residual) + k ln n.
     """
-    penalty = len(result.names) * np.log(result.count)
-    square = 2.0 * result.state.solution.cost
-    if result.loss == "chi2":
-        return float(square + penalty)
-    return float(result.count * np.log(max(square / result.count, 1e-300)) + penalty)
+    return criterion(result.loss, result.state.solution.cost, result.count, len(result.names))
+
+
+def criterion(loss: str, cost: float, count: int, parameters: float) -> float:
+    """Compute the same from half the sum of squares, the number of data and that of parameters."""
+    penalty = parameters * np.log(count)
+    if loss == "chi2":
+        return float(2.0 * cost + penalty)
+    return float(count * np.log(max(2.0 * cost / count, 1e-300)) + penalty)
 
 
 def folds_of(theta_i: Array, folds: int = FOLDS) -> NDArray[np.intp]:
