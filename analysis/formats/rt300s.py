@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import io
 import struct
-from enum import IntFlag
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.samples import make_samples
-from rig.angles import spherical_to_direction, wrap
+from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from analysis.recipes.readings import Readings
 
 Array = NDArray[np.float64]
 
@@ -46,14 +47,7 @@ _DAMAGE = (
 )  # fmt: skip
 
 
-class Flag(IntFlag):
-    """Why a reading may not be used."""
-
-    SELF_SHADOW = 1
-    """The detector's arm stands in the laser's beam, or so near that the laboratory drops the reading."""
-
-
-class Readings(NamedTuple):
+class Export(NamedTuple):
     """One file's readings: angles in degrees, shape (N, 3) in the order of `ROWS`, and RT, shape (N,)."""
 
     angles_deg: Array
@@ -66,7 +60,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = False) -> xr.Dataset:
-    """Read one channel of samples.
+    """Read one channel of samples, each reading by itself, without uncertainties.
 
     Parameters
     ----------
@@ -81,60 +75,60 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
     Returns
     -------
     xarray.Dataset
-        Readings shadowed by the detector's arm have a flag.
+        Readings shadowed by the detector's arm, and those along the surface, have a flag. The detector's
+        noise alone would understate the uncertainty of single readings, so none is stated here;
+        `analysis.recipes` states it, with the files' repeatability.
 
     Raises
     ------
     BadInput
         If a file is damaged or no such export, or the blank lacks an angle.
     """
-    readings = read_readings(path)
-    value = readings.value
-    if blank is not None:
-        value = value - _at_the_same_angles(readings, read_readings(Path(blank)), path, Path(blank))
-    if floor_shift:
-        value = value - value.min()
-    incidence, azimuth, receive = readings.angles_deg.T
+    from analysis.recipes.steps import Blank, Cosine, FloorShift, Given, Reference, ShadowCut, Step
+
+    steps: list[Step] = [Blank(name="blank")] if blank is not None else []
+    steps += [FloorShift(name="floor_shift")] if floor_shift else []
+    steps += [
+        ShadowCut(name="shadow_cut", polar_deg=SHADOW_RECEIVE_DEG, azimuth_deg=SHADOW_AZIMUTH_DEG),
+        Reference(name="reference"),
+        Cosine(name="cosine"),
+    ]
+    readings = as_readings(path)
+    given = Given(blank=None if blank is None else as_readings(Path(blank)))
+    for step in steps:
+        readings = step.apply(readings, given)
     return make_samples(
-        spherical_to_direction(np.radians(incidence), np.radians(wrap_deg(azimuth - 90.0))),
-        spherical_to_direction(np.radians(np.abs(receive)), np.where(receive < 0.0, np.pi, 0.0)),
-        value / (np.pi * np.cos(np.radians(receive))),
-        channels=["RT"],
-        flags=np.where(shadowed(readings.angles_deg), int(Flag.SELF_SHADOW), 0),
+        spherical_to_direction(readings.theta_i, readings.phi_i),
+        spherical_to_direction(readings.theta_o, readings.phi_o),
+        readings.value,
+        channels=readings.channels,
+        flags=readings.flags,
         source=path.name if blank is None else f"{path.name} less {Path(blank).name}",
     )
 
 
-def wrap_deg(angle_deg: Array) -> Array:
-    """Bring angles into (-180, 180] degrees."""
-    return np.asarray(np.degrees(wrap(np.radians(angle_deg))))
+def as_readings(path: Path) -> Readings:
+    """Read a file for a recipe: nominal angles of light and detector, and RT.
 
-
-def shadowed(angles_deg: Array) -> NDArray[np.bool_]:
-    """Whether the detector's arm shadows the laser.
-
-    The zone that the laboratory leaves out of its published tables: receive within 10 deg of the light's
-    polar angle on the light's side, azimuth within 30 deg of the plane of incidence.
-
-    Parameters
-    ----------
-    angles_deg : ndarray, shape (N, 3)
-        Incidence, azimuth, receive.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
+    Raises
+    ------
+    BadInput
+        As `read_readings`.
     """
-    incidence, azimuth, receive = angles_deg.T
-    # The light's own direction is azimuth +90 for receive > 0 and -90 for receive < 0; at 0 it is on either
-    # side.
-    from_light = np.where(receive > 0.0, 90.0 - azimuth, 90.0 + azimuth)
-    from_light = np.where(receive == 0.0, 90.0 - np.abs(azimuth), from_light)
-    near = np.abs(np.abs(receive) - incidence) <= SHADOW_RECEIVE_DEG + 1e-6
-    return np.asarray(near & (from_light <= SHADOW_AZIMUTH_DEG + 1e-6))
+    from analysis.recipes.readings import make_readings
+
+    export = read_readings(path)
+    incidence, azimuth, receive = np.radians(export.angles_deg).T
+    angles = (
+        np.abs(incidence),
+        azimuth - np.pi / 2 + np.where(incidence < 0.0, np.pi, 0.0),
+        np.abs(receive),
+        np.where(receive < 0.0, np.pi, 0.0),
+    )
+    return make_readings(angles, export.value[:, None], channels=["RT"], name=path.name)
 
 
-def read_readings(path: Path) -> Readings:
+def read_readings(path: Path) -> Export:
     """Read the angles and values of a file, in the order of its sheets and columns.
 
     Raises
@@ -164,7 +158,7 @@ def read_readings(path: Path) -> Readings:
     if not blocks:
         raise BadInput("holds no readings", where=str(path), todo="export the measurement again")
     table = np.concatenate(blocks)
-    return Readings(table[:, :3], table[:, 3])
+    return Export(table[:, :3], table[:, 3])
 
 
 def _sheet(sheet: Any, path: Path) -> Array:
@@ -187,26 +181,6 @@ def _sheet(sheet: Any, path: Path) -> Array:
                     todo="export again",
                 )
             block[column - 1, index] = value
-    if np.any(np.abs(block[:, [0, 2]]) >= 90.0):
-        raise BadInput(
-            "an incidence or receive angle is 90 deg or more", where=where, todo="remove the reading"
-        )
+    if np.any(np.abs(block[:, [0, 2]]) > 180.0):
+        raise BadInput("an incidence or receive angle is beyond 180 deg", where=where, todo="export again")
     return block
-
-
-def _at_the_same_angles(sample: Readings, blank: Readings, path: Path, blank_path: Path) -> Array:
-    """Return the blank's readings at the sample's angles."""
-    known = {
-        tuple(angles): value for angles, value in zip(blank.angles_deg.tolist(), blank.value, strict=True)
-    }
-    wanted = [tuple(angles) for angles in sample.angles_deg.tolist()]
-    missing = [angles for angles in wanted if angles not in known]
-    if missing:
-        incidence, azimuth, receive = missing[0]
-        raise BadInput(
-            f"lacks {len(missing)} of the {len(wanted)} angles of {path.name}, first incidence {incidence:g},"
-            f" azimuth {azimuth:g}, receive {receive:g} deg",
-            where=str(blank_path),
-            todo="choose the blank that was taken on the same grid",
-        )
-    return np.array([known[angles] for angles in wanted])

@@ -1,25 +1,38 @@
-"""Reduce a session to BRDF samples with uncertainty: ratio to its white, geometry of every pixel.
+"""Reduce to BRDF samples with uncertainty: a session, or raw files of another instrument by a recipe.
 
-SESSION is the folder that `gonio capture` made. Each pose's frames are merged; blocks of pixels become
-samples; samples.nc is written into the session, replacing an earlier one.
+A session is the folder that `gonio capture` made: ratio to its white, geometry of every pixel. Each pose's
+frames are merged; blocks of pixels become samples; samples.nc is written into the session, replacing an
+earlier one.
 
-The JSON object: session, out, poses, samples, channels, dropped: {reason: values}, pixels: {flag: pixels}
+With --recipe, the raw files of one sample are reduced by named steps: NAME is a recipe that ships, or a TOML
+file of your own (docs/recipes.md lists the steps). Several files are repeats of the sample: where the recipe
+averages them, their repeatability is told, and no uncertainty is stated below it. Recipes that ship:
+  rt300s         every direction of an RT-300S scan, negatives kept
+  rt300s-fred    the published FRED tables (legacy: floor shifted to zero)
+  rt300s-zemax   the published Zemax tables (legacy: floor shifted to zero)
+
+The JSON object: session, out, poses, samples, channels, dropped: {reason: values}, pixels: {flag: pixels};
+with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability, notes, loss
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gonio.output import Progress, add_json_option, print_json
+from gonio.output import Progress, add_json_option, print_json, say
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     import argparse
 
+    from analysis.recipes.repeatability import Repeatability
     from rig.description import Rig
 
-EXAMPLE = "gonio reduce sessions/blue-paint"
+EXAMPLE = (
+    "gonio reduce sessions/blue-paint\n"
+    "  gonio reduce coating.xls --blank blank.xls --recipe rt300s --out coating.nc"
+)
 
 DEFAULT_BIN_PX = 8
 DEFAULT_MAX_THETA_DEG = 85.0
@@ -27,48 +40,146 @@ DEFAULT_MAX_THETA_DEG = 85.0
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("session", metavar="SESSION", help="folder of a session")
+    parser.add_argument(
+        "inputs", nargs="+", metavar="SESSION", help="folder of a session; with --recipe one or more FILEs"
+    )
     parser.add_argument(
         "--bin-px",
         type=int,
-        default=DEFAULT_BIN_PX,
         metavar="N",
-        help="edge of the square bins, an even number of pixels (default: 8)",
+        help=f"session: edge of the square bins, an even number of pixels (default: {DEFAULT_BIN_PX})",
     )
     parser.add_argument(
         "--max-theta-deg",
         type=float,
-        default=DEFAULT_MAX_THETA_DEG,
         metavar="T",
-        help="leave out pixels lit or seen from beyond this angle (default: 85)",
+        help=f"session: leave out pixels lit or seen from beyond it (default: {DEFAULT_MAX_THETA_DEG:g})",
     )
+    parser.add_argument("--recipe", metavar="NAME|FILE", help="reduce raw files by the steps of a recipe")
+    parser.add_argument("--blank", metavar="FILE", help="recipe: the measurement without a sample")
     parser.add_argument(
-        "--out", metavar="FILE", help="write there, .nc or .csv (default: samples.nc in the session)"
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="write there, in the format of its suffix (default: samples.nc in the session)",
     )
     add_json_option(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Reduce, write, and say what was kept and what was not."""
-    if options.bin_px < 2 or options.bin_px % 2:
+    if options.recipe is not None:
+        return _by_recipe(options)
+    if options.blank is not None:
         raise BadInput(
-            f"{options.bin_px} pixels cannot hold whole colour quads",
+            "a session has darks of its own", where="--blank", todo="give --recipe, or leave it out"
+        )
+    if len(options.inputs) > 1:
+        raise BadInput(
+            "one session at a time", where=options.inputs[1], todo="for files of a sample give --recipe"
+        )
+    return _session(options)
+
+
+def _by_recipe(options: argparse.Namespace) -> int:
+    for name in ("bin_px", "max_theta_deg"):
+        if getattr(options, name) is not None:
+            raise BadInput(
+                "means nothing to a recipe",
+                where="--" + name.replace("_", "-"),
+                todo="leave it out; the step angle_cut leaves out angles",
+            )
+    if options.out is None:
+        raise BadInput("no file to write to", where="--out", todo="give one, such as --out samples.nc")
+    from analysis.formats import require_writer
+    from analysis.recipes import reduce_files
+    from analysis.recipes.recipe import load
+    from analysis.samples import write
+
+    out = Path(options.out)
+    require_writer(out)  # before the work, not after it
+    recipe = load(options.recipe)
+    reduced = reduce_files(options.inputs, recipe, blank=options.blank)
+    loss = write(reduced.samples, out)
+    flagged = int((reduced.samples["flags"].to_numpy() != 0).sum())
+    result = {
+        "files": options.inputs,
+        "blank": options.blank,
+        "recipe": recipe.title,
+        "steps": list(recipe.history()),
+        "out": str(out),
+        "samples": int(reduced.samples.sizes["sample"]),
+        "flagged": flagged,
+        "repeatability": _described(reduced.repeatability),
+        "notes": list(reduced.notes),
+        "loss": str(loss),
+    }
+    if options.json:
+        print_json(result)
+        return 0
+    for note in reduced.notes:
+        say(f"note: {note}")
+    print(f"{result['samples']} samples, {flagged} values flagged: {out}")
+    for step in recipe.history():
+        print(f"  {step}")
+    if reduced.repeatability is not None:
+        _print_repeatability(reduced.repeatability)
+    print(f"written: {loss}")
+    return 0
+
+
+def _described(found: Repeatability | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    from dataclasses import asdict
+
+    return asdict(found)
+
+
+def _print_repeatability(found: Repeatability) -> None:
+    print(
+        f"repeatability of one file, from {found.files} files in {found.cells} places: "
+        f"{100 * found.relative:.2g} % of the reading and {found.additive:.2g} "
+        f"({found.dof} degrees of freedom); it is the floor of u_f_r"
+    )
+    for band in found.bands:
+        unit = "deg" if band.quantity == "theta_o_deg" else ""
+        name = band.quantity.removesuffix("_deg")
+        print(
+            f"  {name:<8} {band.low:8.4g} to {band.high:8.4g} {unit:<4} {100 * band.relative:5.2g} %"
+            f"  ({band.dof} degrees of freedom)"
+        )
+
+
+def _session(options: argparse.Namespace) -> int:
+    given = options.inputs[0]
+    bin_px = DEFAULT_BIN_PX if options.bin_px is None else options.bin_px
+    max_theta_deg = DEFAULT_MAX_THETA_DEG if options.max_theta_deg is None else options.max_theta_deg
+    if bin_px < 2 or bin_px % 2:
+        raise BadInput(
+            f"{bin_px} pixels cannot hold whole colour quads",
             where="--bin-px",
             todo="give an even number, 2 or more",
         )
-    if not 0 < options.max_theta_deg < 90:
-        raise BadInput(f"{options.max_theta_deg:g} is not between 0 and 90", where="--max-theta-deg")
+    if not 0 < max_theta_deg < 90:
+        raise BadInput(f"{max_theta_deg:g} is not between 0 and 90", where="--max-theta-deg")
+    if Path(given).is_file():
+        raise BadInput(
+            "is a file, not a session",
+            where=given,
+            todo="give --recipe NAME to reduce a raw file of readings",
+        )
     from analysis.formats import require_writer
     from analysis.measurement import Options
     from analysis.reduce import reduce_session
     from analysis.samples import write
     from capture.session import Session
 
-    chosen = Options(bin_px=options.bin_px, max_theta_deg=options.max_theta_deg)
-    out = Path(options.out) if options.out else Path(options.session) / "samples.nc"
-    with Session.open(Path(options.session)) as session:
+    chosen = Options(bin_px=bin_px, max_theta_deg=max_theta_deg)
+    out = Path(options.out) if options.out else Path(given) / "samples.nc"
+    with Session.open(Path(given)) as session:
         require_writer(out)  # before the work, not after it
-        _require_bins(options.bin_px, session.rig)
+        _require_bins(bin_px, session.rig)
         progress = Progress("poses", len(session.poses("sample")))
         samples = reduce_session(session, options=chosen, progress=progress)
     write(samples, out)
@@ -81,7 +192,7 @@ def run(options: argparse.Namespace) -> int:
         for group in ("dropped", "pixels")
     }
     result = {
-        "session": options.session,
+        "session": given,
         "out": str(out),
         "poses": len(set(samples["pose"].to_numpy().tolist())),
         "samples": int(samples.sizes["sample"]),
