@@ -26,6 +26,7 @@ from analysis.pairing import (
     once,
     paired_by,
     reciprocal_pairs,
+    relative_difference,
     usable_samples,
     within_reach,
 )
@@ -140,11 +141,6 @@ def _not_tested(name: str, quantity: str, limits: tuple[float, float], count: in
     return Finding(name, quantity, float("nan"), *limits, count, Verdict.NOT_TESTED, why)
 
 
-def _relative(a: Array, b: Array) -> Array:
-    largest = np.maximum(np.abs(a), np.abs(b))
-    return np.asarray(np.abs(a - b) / np.where(largest > 0.0, largest, 1.0))
-
-
 def _median_by_channel(difference: Array) -> float:
     return float(np.median(difference)) if difference.size else float("nan")
 
@@ -156,7 +152,7 @@ def _reciprocity(usable: Usable, pairs: Pairs) -> Finding:
         why = f"only {len(first)} pairs with light and view exchanged"
         return _not_tested(name, quantity, limits, len(first), why)
     a, b = usable.f_r[first], usable.f_r[second]
-    difference = _relative(a, b)
+    difference = relative_difference(a, b)
     value = _median_by_channel(difference)
     worst_pair = int(np.argmax(np.median(difference, axis=1)))
     meaning = "light and view may be exchanged or mirrored, an angle may have an offset, or noise is large"
@@ -165,7 +161,7 @@ def _reciprocity(usable: Usable, pairs: Pairs) -> Finding:
         ("values seem to be divided by cos(theta_o)", 1),
     ):
         cos_a, cos_b = (np.cos(usable.theta_o[index])[:, None] ** power for index in (first, second))
-        without = _median_by_channel(_relative(a * cos_a, b * cos_b))
+        without = _median_by_channel(relative_difference(a * cos_a, b * cos_b))
         if without < HELPS * value:
             meaning = f"{text}: without it {without:.1%}"
     if not strict:
@@ -247,7 +243,7 @@ def _compared(
     first, second = pairs
     if len(first) < FEWEST_PAIRS:
         return _not_tested(name, quantity, limits, len(first), why_not)
-    difference = _relative(usable.f_r[first], usable.f_r[second])
+    difference = relative_difference(usable.f_r[first], usable.f_r[second])
     place = _place(usable, first[int(np.argmax(np.median(difference, axis=1)))])
     return _judged(
         name, quantity, _median_by_channel(difference), limits, len(first), meaning=meaning, where=place

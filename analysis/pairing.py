@@ -46,12 +46,27 @@ class Pairs(NamedTuple):
 def usable_samples(samples: xr.Dataset) -> Usable:
     """Return the samples without flags whose values are all finite."""
     keep = (samples["flags"].to_numpy() == 0).all(axis=1) & np.isfinite(samples["f_r"].to_numpy()).all(axis=1)
-    wi, wo = (samples[name].to_numpy()[keep] for name in ("wi", "wo"))
+    wi, wo, f_r = (samples[name].to_numpy()[keep] for name in ("wi", "wo", "f_r"))
+    return usable_from(wi, wo, f_r, samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None)
+
+
+def usable_from(wi: Array, wo: Array, f_r: Array, u: Array | None = None) -> Usable:
+    """Return samples, all of them usable, with their angles."""
     (theta_i, phi_i), (theta_o, phi_o) = direction_to_spherical(wi), direction_to_spherical(wo)
-    u = samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None
-    return Usable(
-        wi, wo, samples["f_r"].to_numpy()[keep], u, theta_i, theta_o, phi_i, np.asarray(wrap(phi_o - phi_i))
-    )
+    return Usable(wi, wo, f_r, u, theta_i, theta_o, phi_i, np.asarray(wrap(phi_o - phi_i)))
+
+
+def relative_difference(a: Array, b: Array) -> Array:
+    """Return |a - b| over the larger of both sizes; 0 where both are 0."""
+    largest = np.maximum(np.abs(a), np.abs(b))
+    return np.asarray(np.abs(a - b) / np.where(largest > 0.0, largest, 1.0))
+
+
+def reciprocal_difference(wi: Array, wo: Array, f_r: Array) -> Array:
+    """Return the relative differences (P, C) of the reciprocal pairs among samples."""
+    usable = usable_from(wi, wo, f_r)
+    first, second, _ = reciprocal_pairs(usable)
+    return relative_difference(f_r[first], f_r[second])
 
 
 def isotropic_key(theta_i: Array, theta_o: Array, turn: Array) -> Array:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.angle_table import AngleTable
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
@@ -46,6 +47,32 @@ def read(path: Path) -> xr.Dataset:
     BadInput
         If a number is missing, malformed or not finite, or an angle is not in radians; names line and column.
     """
+    table, lines, wavelengths = _rows(path)
+    _check_angles(table, lines, path)
+    theta_i, phi_i, theta_o, phi_o = table[:, :4].T
+    return make_samples(
+        spherical_to_direction(theta_i, phi_i),
+        spherical_to_direction(theta_o, phi_o),
+        table[:, 4:],
+        wavelength_nm=wavelengths,
+        source=path.name,
+    )
+
+
+def declared(path: Path) -> AngleTable:
+    """Return the columns as they are, whatever the angles, for the convention doctor.
+
+    Raises
+    ------
+    BadInput
+        If a number is missing, malformed or not finite.
+    """
+    table, _, wavelengths = _rows(path)
+    return AngleTable(*table[:, :4].T, table[:, 4:], {"wavelength_nm": wavelengths, "source": path.name})
+
+
+def _rows(path: Path) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], list[int], list[float]]:
+    """Return the rows, the line where each begins, and the wavelengths."""
     words = [
         (word, line)
         for line, text in enumerate(read_lines(path), start=1)
@@ -74,15 +101,7 @@ def read(path: Path) -> xr.Dataset:
             for index, (word, line) in enumerate(words[1 + count :])
         ]
     ).reshape(-1, width)
-    _check_angles(table, [line for _, line in words[1 + count :: width]], path)
-    theta_i, phi_i, theta_o, phi_o = table[:, :4].T
-    return make_samples(
-        spherical_to_direction(theta_i, phi_i),
-        spherical_to_direction(theta_o, phi_o),
-        table[:, 4:],
-        wavelength_nm=wavelengths,
-        source=path.name,
-    )
+    return table, [line for _, line in words[1 + count :: width]], wavelengths
 
 
 def _check_angles(

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import csv
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.angle_table import AngleTable
 from analysis.formats.loss import Loss, unchanged
 from analysis.formats.text import looks_like_text, number, read_lines, separator_of
 from analysis.samples import make_samples
-from rig.angles import direction_to_spherical, spherical_to_direction
+from rig.angles import direction_to_spherical
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -55,6 +56,15 @@ def read(path: Path) -> xr.Dataset:
         If a column is missing, unknown or double, a row has the wrong length, or a cell is no finite number;
         names line and column.
     """
+    table = declared(path)
+    try:
+        return make_samples(table.wi, table.wo, table.f_r, **table.facts)
+    except BadInput as error:
+        raise BadInput(str(error), where=str(path)) from None
+
+
+def declared(path: Path) -> AngleTable:
+    """Return the columns as they are, whatever the angles, for the convention doctor; raises as `read`."""
     content = read_lines(path)
     lines = [
         (line, text)
@@ -88,18 +98,15 @@ def read(path: Path) -> xr.Dataset:
     theta_i, phi_i, theta_o, phi_o = (np.radians(table[name]) for name in ANGLES)
     names = [name.removeprefix("f_r").removeprefix("_") for name in values]
     matches = [_WAVELENGTH.match(name) for name in names]
-    try:
-        return make_samples(
-            spherical_to_direction(theta_i, phi_i),
-            spherical_to_direction(theta_o, phi_o),
-            np.stack([table[name] for name in values], axis=1),
-            channels=None if names == [""] else names,
-            wavelength_nm=[float(m.group(1)) for m in matches if m] if all(matches) else None,
-            u_f_r=np.stack([table[name] for name in uncertainties], axis=1) if uncertainties else None,
-            source=path.name,
-        )
-    except BadInput as error:
-        raise BadInput(str(error), where=str(path)) from None
+    facts: dict[str, Any] = {"source": path.name}
+    if names != [""]:
+        facts["channels"] = names
+    if all(matches):
+        facts["wavelength_nm"] = [float(m.group(1)) for m in matches if m]
+    if uncertainties:
+        facts["u_f_r"] = np.stack([table[name] for name in uncertainties], axis=1)
+    f_r = np.stack([table[name] for name in values], axis=1)
+    return AngleTable(theta_i, phi_i, theta_o, phi_o, f_r, facts)
 
 
 def write(samples: xr.Dataset, path: Path) -> Loss:

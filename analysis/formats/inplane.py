@@ -16,11 +16,12 @@ Fankhauser and others (2023). Directions at or below the horizon are dropped: no
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.angle_table import AngleTable
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
@@ -178,7 +179,31 @@ def _check_polar(angle_deg: float, where: str) -> None:
         )
 
 
+def declared(path: Path) -> AngleTable | None:
+    """Return the columns of a table separated by blanks as they are, for the convention doctor; else None.
+
+    Raises
+    ------
+    BadInput
+        If a row has the wrong length or a cell is no finite number.
+    """
+    lines = read_lines(path)
+    if _blank_header(lines) is None:
+        return None
+    table, facts = _blank_columns(lines, path, check=False)
+    theta_i, phi_i, theta_o, phi_o, value = table
+    return AngleTable(theta_i, phi_i, theta_o, phi_o, value[:, None], facts)
+
+
 def _read_blanks(lines: list[str], path: Path) -> xr.Dataset:
+    (theta_i, phi_i, theta_o, phi_o, value), facts = _blank_columns(lines, path, check=True)
+    wi, wo = spherical_to_direction(theta_i, phi_i), spherical_to_direction(theta_o, phi_o)
+    above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
+    return make_samples(wi[above], wo[above], value[above], **facts)
+
+
+def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array, dict[str, Any]]:
+    """Return polar angle and azimuth of the light, of the view, radians, the values (5, N), and the rest."""
     header = _blank_header(lines)
     comments = "\n".join(line for line in lines if line.startswith("#"))
     stated = _ZENITH.search(comments)
@@ -198,7 +223,7 @@ def _read_blanks(lines: list[str], path: Path) -> xr.Dataset:
             name: number(word, where=f"{path}: line {line}, column {name}")
             for name, word in zip((*ANGLES, "brdf"), words, strict=True)
         }
-        for name in (f"{zenith}_i", f"{zenith}_o"):
+        for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
             _check_polar(row[name], f"{path}: line {line}, column {name}")
         rows.append(row)
     if not rows:
@@ -207,17 +232,11 @@ def _read_blanks(lines: list[str], path: Path) -> xr.Dataset:
         )
     table = {name: np.array([row[name] for row in rows]) for name in (*ANGLES, "brdf")}
     azimuth = "theta" if zenith == "phi" else "phi"
-    wi, wo = (
-        spherical_to_direction(np.radians(table[f"{zenith}_{end}"]), np.radians(table[f"{azimuth}_{end}"]))
-        for end in "io"
-    )
-    above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
+    angles = (f"{zenith}_i", f"{azimuth}_i", f"{zenith}_o", f"{azimuth}_o")
     wavelength = _WAVELENGTH.search(comments)
-    return make_samples(
-        wi[above],
-        wo[above],
-        table["brdf"][above],
-        wavelength_nm=[float(wavelength.group(1))] if wavelength else None,
-        channels=None if wavelength else ["brdf"],
-        source=path.name,
-    )
+    facts: dict[str, Any] = {"source": path.name}
+    if wavelength:
+        facts["wavelength_nm"] = [float(wavelength.group(1))]
+    else:
+        facts["channels"] = ["brdf"]
+    return np.stack([*(np.radians(table[name]) for name in angles), table["brdf"]]), facts
