@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from analysis.recipes.readings import SAME_ANGLE_RAD, Flag, Readings, identities
+from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities
 from analysis.recipes.repeatability import Repeatability, repeatability
 from analysis.recipes.steps import Given, Step
 
@@ -40,10 +40,11 @@ class Average(Step):
         found = _between_files(readings, place)
         if found is not None and self.repeatability_floor:
             cells = _with_floor(cells, found, _files_in(readings, place))
-        kept = _first_azimuths(readings, place) if self.mirror else np.unique(place, return_index=True)[1]
-        kept = np.sort(kept)
-        named = _with_angles_of(cells.rows(place[kept]), readings.rows(kept))
-        return replace(named, repeatability=found)
+        if self.mirror:
+            kept = _first_azimuths(readings, place)
+            angles = {name: getattr(readings, name)[kept] for name in ANGLES}
+            cells = cells.rows(place[kept]).with_columns(angles)
+        return replace(cells, repeatability=found)
 
 
 class PoleAverage(Step):
@@ -69,15 +70,13 @@ class PoleAverage(Step):
         _, twin = identities(readings.theta_i, np.where(at_pole, line, readings.phi_i), place.astype(float))
         alike = np.bincount(twin)[twin]
         weight = np.where(at_pole & ~edge, 2.0, 1.0) / np.where(at_pole, alike, 1)
-        cells = _averaged(readings, place, np.broadcast_to(weight[:, None], readings.value.shape))
-        kept = np.sort(np.unique(place, return_index=True)[1])
-        return _with_angles_of(cells.rows(place[kept]), readings.rows(kept))
+        return _averaged(readings, place, np.broadcast_to(weight[:, None], readings.value.shape))
 
 
 class Sides(Step):
     """Write an isotropic sample's readings on one side of the plane of incidence, or on both.
 
-    The light then stands at azimuth 0.
+    The light then stands at azimuth 180 degrees, so that azimuth 0 leads to the mirror direction.
     """
 
     name: Literal["sides"]
@@ -85,13 +84,12 @@ class Sides(Step):
 
     def apply(self, readings: Readings, given: Given) -> Readings:  # noqa: ARG002
         """Fold, or fold and mirror."""
-        side = np.abs(readings.between)
         pole = readings.theta_o < SAME_ANGLE_RAD
-        side = np.where(pole, 0.0, side)
+        side = np.where(pole, np.pi, np.abs(readings.between))
         _, place = identities(readings.theta_i, readings.theta_o, side)
         cells = _averaged(readings, place, np.ones(readings.value.shape))
-        kept = np.sort(np.unique(place, return_index=True)[1])
-        one = replace(cells.rows(place[kept]), phi_i=np.zeros(len(kept)), phi_o=side[kept])
+        folded = np.pi - side[np.unique(place, return_index=True)[1]]
+        one = replace(cells, phi_i=np.full(len(cells), np.pi), phi_o=folded)
         if self.count == 1:
             return one
         other = (one.phi_o > SAME_ANGLE_RAD) & (one.phi_o < np.pi - SAME_ANGLE_RAD)
@@ -127,7 +125,7 @@ def _first_azimuths(readings: Readings, place: Indices) -> Indices:
 
 
 def _averaged(readings: Readings, place: Indices, weight: Array) -> Readings:
-    """Weighted mean of the usable readings of each place, one row a place; angles are set by the caller.
+    """Average the usable readings of each place, weighted; one row a place, with its first reading's angles.
 
     A place without usable readings keeps its flags and is NaN.
     """
@@ -207,7 +205,3 @@ def _with_floor(cells: Readings, found: Repeatability, files: Array) -> Readings
     needed = np.sqrt(np.maximum(np.square(floor) - rest, 0.0))
     raised = np.maximum(cells.u_noise, np.where(np.isfinite(needed), needed, 0.0))
     return replace(cells, u_noise=raised)
-
-
-def _with_angles_of(cells: Readings, kept: Readings) -> Readings:
-    return replace(cells, theta_i=kept.theta_i, phi_i=kept.phi_i, theta_o=kept.theta_o, phi_o=kept.phi_o)

@@ -31,6 +31,15 @@ SAME_ANGLE_RAD = 1e-7
 """Nominal angles closer than this are the same."""
 
 
+ANGLES = {
+    "theta_i": "incidence",
+    "phi_i": "light's azimuth",
+    "theta_o": "view",
+    "phi_o": "view's azimuth",
+}
+"""The columns that are nominal angles, and their names for people."""
+
+
 class Flag(IntFlag):
     """Why a reading may not be used."""
 
@@ -138,10 +147,7 @@ class Readings:
         return replace(self, notes=(*self.notes, note))
 
 
-PER_READING = (
-    "theta_i", "phi_i", "theta_o", "phi_o", "value", "flags", "u_noise", "u_blank", "u_common", "origin",
-    "blank_id", "file",
-)  # fmt: skip
+PER_READING = (*ANGLES, "value", "flags", "u_noise", "u_blank", "u_common", "origin", "blank_id", "file")
 """The columns of `Readings`: what has one entry for each reading."""
 
 

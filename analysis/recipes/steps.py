@@ -13,19 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from analysis.recipes.readings import SAME_ANGLE_RAD, Flag, Readings, identities
+from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities
 from analysis.uncertainty import quadrature
 from rig.errors import BadInput
 from rig.parts import Part
 
 Array = NDArray[np.float64]
-
-_ANGLES = {
-    "theta_i": "incidence",
-    "phi_i": "light's azimuth",
-    "theta_o": "view",
-    "phi_o": "view's azimuth",
-}
 
 SHOWN_DEG = 1e-6
 """Slack for angles that a recipe names in degrees, so that its limits include what stands on them."""
@@ -108,10 +101,11 @@ class FloorShift(Step):
     def apply(self, readings: Readings, given: Given) -> Readings:  # noqa: ARG002 - every step has both
         """Shift, and say so."""
         shift = np.zeros(readings.value.shape)
+        finite = np.where(np.isfinite(readings.value), readings.value, np.inf)
         for number in np.unique(readings.file):
             of_file = readings.file == number
-            lowest = np.nanmin(np.where(np.isfinite(readings.value), readings.value, np.nan)[of_file], axis=0)
-            shift[of_file] = -lowest
+            lowest = finite[of_file].min(axis=0)
+            shift[of_file] = np.where(np.isfinite(lowest), -lowest, 0.0)
         largest = float(np.max(np.abs(shift)))
         return replace(
             readings,
@@ -245,13 +239,13 @@ def difference_noise(readings: Readings) -> Array:
 
 def _at_the_same_angles(sample: Readings, blank: Readings) -> NDArray[np.int64]:
     """Return the row of the blank at each of the sample's nominal angles."""
-    angles = [np.concatenate([getattr(blank, name), getattr(sample, name)]) for name in _ANGLES]
+    angles = [np.concatenate([getattr(blank, name), getattr(sample, name)]) for name in ANGLES]
     first, number = identities(*angles)
     at = first[number[len(blank) :]]
     missing = np.flatnonzero(at >= len(blank))
     if missing.size:
-        lost = [float(np.degrees(getattr(sample, name)[missing[0]])) for name in _ANGLES]
-        place = ", ".join(f"{word} {angle:g}" for word, angle in zip(_ANGLES.values(), lost, strict=True))
+        lost = [float(np.degrees(getattr(sample, name)[missing[0]])) for name in ANGLES]
+        place = ", ".join(f"{word} {angle:g}" for word, angle in zip(ANGLES.values(), lost, strict=True))
         file = sample.files[int(sample.file[missing[0]])]
         raise BadInput(
             f"lacks {missing.size} of the {len(sample)} angles of {file}, first {place} deg",
