@@ -19,6 +19,7 @@ from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from analysis.fit import FitResult
+    from analysis.state import Block
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,11 @@ def bootstrap(
     for first in range(0, count, at_once):
         replicas = min(at_once, count - first)
         drawn = random.multinomial(kinds, np.full(kinds, 1.0 / kinds), size=replicas)
-        parts.append(_fitted(result, drawn[:, numbers].astype(np.float64)))
+        counts = drawn[:, numbers].astype(np.float64)
+        part = np.empty((replicas, len(result.names)))
+        for block in state.blocks:
+            part[:, state.layout.rows_of(block.channels)] = _fitted(block, counts)
+        parts.append(part)
     natural = np.concatenate(parts)
     names = [name for name, _ in result.names]
     return Replicas(
@@ -122,11 +127,10 @@ def _dense(groups: ArrayLike | None, samples: int) -> NDArray[np.intp]:
     return numbers
 
 
-def _fitted(result: FitResult, counts: Array) -> Array:
-    """Fit replicas with counts (R, N); natural parameters (R, P) in the order of `result.names`."""
-    state = result.state
-    problem, best = state.problem, state.solution
-    loss = state.loss.by_channel()
+def _fitted(block: Block, counts: Array) -> Array:
+    """Fit replicas with counts (R, N); natural parameters (R, shapes, kd by channel, ks by channel)."""
+    problem, best = block.problem, block.solution
+    loss = block.loss.by_channel()
     size = Linearised(problem, loss).size(problem.terms(best.shapes[None]).lobe)[0]
     equations = Linearised(problem, loss, counts=counts)
     low, high = problem.bounds()
@@ -140,11 +144,7 @@ def _fitted(result: FitResult, counts: Array) -> Array:
         most=MOST_STEPS,
     ).x
     shapes, kd, s = equations.unpack(x)
-    columns = [
-        np.clip([p.coordinate.inverse(float(v)) for v in column], *p.bounds)[:, None]
-        for p, column in zip(problem.shapes, shapes.T, strict=True)
-    ]
-    columns.append(kd)
+    columns = [*(value[:, None] for value in problem.natural(shapes).values()), kd]
     if problem.has_lobe:
         columns.append(s / equations.size(problem.terms(shapes).lobe))
     return np.hstack(columns)

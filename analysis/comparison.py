@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fit import fit
+from analysis.losses import ROBUST
 from analysis.solver import minimise
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from analysis.factored_fit import FactoredFit
     from analysis.fit import FitResult
+    from analysis.state import Block
 
 Array = NDArray[np.float64]
 
@@ -163,17 +165,26 @@ def _left_out(result: FitResult) -> tuple[Array, Array]:
     numbers = np.unique(fold)
     for number in numbers if len(numbers) > 1 else []:
         kept, left = np.flatnonzero(fold != number), np.flatnonzero(fold == number)
-        # Channels first twice is channels last again.
-        rest = state.loss.by_channel(kept).by_channel()
-        held = state.loss.by_channel(left)
-        count = int(held.used.sum())
-        if count == 0 or not rest.used.any(axis=0).all():
+        if not state.loss.counted[left].any() or not state.loss.counted[kept].any(axis=0).all():
             continue
-        found = minimise(state.problem.some(kept), rest, state.solution)
-        f = state.problem.some(left).terms(found.shapes[None]).values(found.kd[None], found.ks[None])[0]
-        squares.append(float(np.sum(np.square(held.residual(f)))) / count)
+        residuals = [_residuals_left(block, kept, left) for block in state.blocks]
+        count = sum(each.size for each in residuals)
+        if result.loss == ROBUST:
+            # What one model sets aside another describes: all count, and none for its square.
+            squares.append(0.5 * np.pi * (sum(float(np.sum(np.abs(r))) for r in residuals) / count) ** 2)
+        else:
+            squares.append(sum(float(r @ r) for r in residuals) / count)
         weights.append(count)
     return np.array(squares), np.array(weights, dtype=np.float64)
+
+
+def _residuals_left(block: Block, kept: NDArray[np.intp], left: NDArray[np.intp]) -> Array:
+    """Residuals of used data that were left out of a fit of the others."""
+    # Channels first twice is channels last again.
+    rest, held = block.loss.by_channel(kept).by_channel(), block.loss.reweighted(None).by_channel(left)
+    found = minimise(block.problem.some(kept), rest, block.solution)
+    f = block.problem.some(left).terms(found.shapes[None]).values(found.kd[None], found.ks[None])[0]
+    return np.asarray(held.residual(f)[held.used])
 
 
 def in_words(candidates: Sequence[Candidate]) -> str:

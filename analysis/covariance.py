@@ -2,31 +2,73 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis import uncertainty
+from analysis.jacobian import search_jacobian
+from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from analysis.equations import Problem
     from analysis.jacobian import SearchJacobian
+    from analysis.layout import Layout
     from analysis.losses import Loss
     from analysis.solver import Solution
+    from analysis.state import Block
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """A fit of all channels, differentiated.
+
+    Attributes
+    ----------
+    f : ndarray, shape (N, C)
+        The model.
+    columns : ndarray, shape (N, C, P)
+        Its derivatives by the search coordinates, in the order of the layout.
+    natural : ndarray, shape (P, P)
+        Derivatives of the parameters by the search coordinates.
+    """
+
+    f: Array
+    columns: Array
+    natural: Array
+
+
+def assemble(layout: Layout, blocks: Sequence[Block]) -> Assembled:
+    """Differentiate blocks of channels and put the parts where the layout wants them."""
+    count, total = len(blocks[0].loss.data), len(layout.names)
+    f, columns = np.empty((count, layout.channels)), np.zeros((count, layout.channels, total))
+    natural = np.zeros((total, total))
+    for block in blocks:
+        solution = block.solution
+        derivative = search_jacobian(
+            block.problem, block.loss.weight(), solution.shapes, solution.kd, solution.ks
+        )
+        channels, rows = np.array(block.channels), layout.rows_of(block.channels)
+        f[:, channels] = derivative.f
+        columns[:, channels[:, None], rows] = derivative.columns
+        natural[np.ix_(rows, rows)] = to_natural(block.problem, solution, derivative)
+    return Assembled(f, columns, natural)
 
 
 class NormalEquations:
     """The normal equations at the solution, in search coordinates scaled to columns of length 1."""
 
-    def __init__(self, derivative: SearchJacobian, goal: Loss, undetermined: NDArray[np.bool_]) -> None:
-        columns = goal.slope(derivative.f)[..., None] * derivative.columns
+    def __init__(self, whole: Assembled, goal: Loss, undetermined: NDArray[np.bool_]) -> None:
+        columns = goal.slope(whole.f)[..., None] * whole.columns
         flat = columns.reshape(-1, columns.shape[-1])
         length = np.sqrt(np.einsum("np,np->p", flat, flat))
-        self._free = length > 0.0
-        self._free[: len(undetermined)] &= ~undetermined
+        self._free = (length > 0.0) & ~undetermined
         self._length = length[self._free]
         scaled = columns[..., self._free] / self._length
         flat = scaled.reshape(-1, scaled.shape[-1])
@@ -65,13 +107,6 @@ def to_natural(problem: Problem, solution: Solution, derivative: SearchJacobian)
     return jacobian
 
 
-def row_names(problem: Problem) -> tuple[tuple[str, int | None], ...]:
-    """Name the covariance's rows: parameter, and channel or None where all share it."""
-    scales = ["kd", "ks"] if problem.has_lobe else ["kd"]
-    shared: list[tuple[str, int | None]] = [(p.name, None) for p in problem.shapes]
-    return (*shared, *((name, c) for name in scales for c in range(problem.channels)))
-
-
 def transform(jacobian: Array, covariance: Array) -> Array:
     """J V J^T; the variance of all that hangs on something undetermined is infinite."""
     undetermined = np.isinf(np.diag(covariance))
@@ -79,3 +114,46 @@ def transform(jacobian: Array, covariance: Array) -> Array:
     hanging = np.any(jacobian[:, undetermined] != 0.0, axis=1)
     result[hanging, hanging] = np.inf
     return np.asarray(result)
+
+
+def derived(
+    layout: Layout, values: Mapping[str, Array], natural: Array, search: Array
+) -> dict[str, tuple[Array, Array]]:
+    """Derive ks F0 for models with a reflectance of facets, with its uncertainty.
+
+    Parameters
+    ----------
+    layout : Layout
+        Rows of both matrices.
+    values : mapping of str to ndarray
+        Parameters by name.
+    natural : ndarray, shape (P, P)
+        Derivatives of the parameters by the search coordinates.
+    search : ndarray, shape (P, P)
+        Covariance in search coordinates.
+
+    Returns
+    -------
+    dict of str to (ndarray, ndarray)
+        `ks_F0` and its standard uncertainty, each (C,); empty for other models.
+    """
+    if "ior" in values:
+        name, reflectance = "ior", normal_reflectance(values["ior"])
+        slope = normal_reflectance_slope(values["ior"])
+    elif "f0" in values:
+        name, reflectance, slope = "f0", values["f0"], np.ones(())
+    else:
+        return {}
+    ks = values["ks"]
+    reflectance, slope = (np.broadcast_to(each, ks.shape) for each in (reflectance, slope))
+    # Along the search coordinates: ks and ior each vary widely, their product hardly.
+    gradients = np.array(
+        [
+            reflectance[c] * natural[layout.row("ks", c)] + ks[c] * slope[c] * natural[layout.row(name, c)]
+            for c in range(layout.channels)
+        ]
+    )
+    # An ior held on its bound is taken as it is: ks F0 hardly depends on it.
+    known = np.where(np.isinf(search), 0.0, search)
+    variance = np.einsum("cp,pq,cq->c", gradients, known, gradients)
+    return {"ks_F0": (ks * reflectance, np.sqrt(np.maximum(variance, 0.0)))}

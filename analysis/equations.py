@@ -104,6 +104,14 @@ class Problem:
         """Return the problem of some of the samples."""
         return Problem(self.model, Geometry(self.geometry.wi[rows], self.geometry.wo[rows]), self.channels)
 
+    def natural(self, coordinates: Array) -> dict[str, Array]:
+        """Return shapes by name, each (M,), at search coordinates (M, S)."""
+        values = {}
+        for parameter, column in zip(self.shapes, coordinates.T, strict=True):
+            inverse = [parameter.coordinate.inverse(float(x)) for x in column]
+            values[parameter.name] = np.clip(np.array(inverse), *parameter.bounds)
+        return values
+
     def terms(self, coordinates: Array) -> Terms:
         """Evaluate both terms at unit scale for many shapes.
 
@@ -116,10 +124,7 @@ class Problem:
         -------
         Terms
         """
-        values = {}
-        for parameter, column in zip(self.shapes, coordinates.T, strict=True):
-            natural = [parameter.coordinate.inverse(x) for x in column]
-            values[parameter.name] = np.clip(natural, *parameter.bounds)
+        values = self.natural(coordinates)
         with np.errstate(under="ignore", over="ignore"):
             found = self.model(**values).terms_at(self.geometry)
         count = len(coordinates)

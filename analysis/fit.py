@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis import uncertainty
-from analysis.covariance import NormalEquations, row_names, to_natural, transform
-from analysis.equations import Problem
+from analysis.appearance import appearance
+from analysis.covariance import NormalEquations, assemble, derived, transform
+from analysis.goal import Goal
 from analysis.identifiability import (
     Caution,
     Kind,
     about_misfit,
+    about_outliers,
     about_scales,
     about_shapes,
     about_the_lobe,
     correlation_matrix,
+    one_each,
 )
-from analysis.jacobian import SearchJacobian, search_jacobian
-from analysis.losses import Loss, make_loss
+from analysis.layout import layout_of
 from analysis.metrics import goodness
 from analysis.models import MODELS
-from analysis.models.base import Geometry
-from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
-from analysis.solver import Solution, minimise
+from analysis.observations import Observations, check_enough, observe
+from analysis.samples import select
+from analysis.state import Block, State
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -34,40 +38,20 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from analysis.layout import Layout
     from analysis.models.base import Model
 
 Array = NDArray[np.float64]
 
 AT_BOUND = 1e-4
 """Distance to a bound, as a share of its range in search coordinates, at which a shape counts as on it."""
-SAME_DIRECTION = 1e-9
-"""Difference of components below which two directions are one."""
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """A fit as its solver knows it.
+class Shape(StrEnum):
+    """Whether channels have one shape."""
 
-    Attributes
-    ----------
-    problem : Problem
-        Directions and model.
-    loss : Loss
-        Data and weights, arrays (N, C).
-    solution : Solution
-        The minimum.
-    scatter : float
-        Standard deviation of a residual: 1 where uncertainties are stated, else from the residuals.
-    inflation : ndarray, shape (P,)
-        By how much the standard uncertainty of each parameter exceeds that of independent residuals of one
-        size; NaN where the samples do not determine it.
-    """
-
-    problem: Problem
-    loss: Loss
-    solution: Solution
-    scatter: float
-    inflation: Array
+    SHARED = "shared"
+    PER_CHANNEL = "per-channel"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +73,12 @@ class FitResult:
     derived : dict of str to (ndarray, ndarray)
         Further quantities with their uncertainty: `ks_F0`, the specular scale times the reflectance at normal
         incidence, which is well determined where ks and ior alone are not.
-    metrics : dict of str to float
+    goodness : dict of str to float
         See `analysis.metrics.goodness`.
     loss : str
         What was made small.
     count : int
-        Number of data used, over all channels.
+        Number of data that counted, over all channels.
     condition : float
         Condition number of the scaled normal equations in search coordinates.
     cautions : tuple of Caution
@@ -109,12 +93,22 @@ class FitResult:
     covariance: Array
     names: tuple[tuple[str, int | None], ...]
     derived: dict[str, tuple[Array, Array]]
-    metrics: dict[str, float]
+    goodness: dict[str, float]
     loss: str
     count: int
     condition: float
     cautions: tuple[Caution, ...]
     state: State = field(repr=False)
+
+    @cached_property
+    def metrics(self) -> dict[str, float]:
+        """`goodness`, and what the difference looks like: see `analysis.appearance.appearance`.
+
+        The sphere takes as long as the fit, and is shaded when first asked for.
+        """
+        loss, geometry = self.state.loss, self.state.problem.geometry
+        f_r = np.where(loss.counted, loss.data, np.nan)
+        return self.goodness | appearance(self.model.evaluate, geometry.wi, geometry.wo, f_r)
 
     @property
     def message(self) -> str:
@@ -127,32 +121,22 @@ class FitResult:
         return correlation_matrix(self.covariance)
 
 
-@dataclass(frozen=True)
-class _Data:
-    """What a fit uses of the samples: f_r (N, C), which of it, and its uncertainties."""
-
-    samples: xr.Dataset
-    wi: Array
-    wo: Array
-    f_r: Array
-    used: NDArray[np.bool_]
-    stated: bool
-
-    @property
-    def cos_i(self) -> Array:
-        return self.wi[:, 2:]
-
-
 def fit(
-    samples: xr.Dataset, name: str, *, loss: str | None = None, channels: Sequence[int] | None = None
+    samples: xr.Dataset,
+    name: str,
+    *,
+    loss: str | None = None,
+    channels: Sequence[int] | None = None,
+    shape: str = Shape.SHARED,
+    max_theta_deg: float | None = None,
 ) -> FitResult:
-    """Fit a model; all channels share its shape parameters, each has scales of its own.
+    """Fit a model; each channel has scales of its own, and on request shapes of its own.
 
-    Samples with a flag, without a value, or below the horizon are not used. Where samples carry
-    uncertainties, the weights take what is independent from sample to sample, the white's noise, and the
-    pose's uncertainty through the gradient of a first fit; the covariance counts every error as shared by all
-    whom it moves. Without uncertainties it comes from the scatter of the residuals, taken as independent, and
-    so tells nothing of a model that does not describe the surface.
+    Samples with a flag, without a value, or below the horizon are not used; values at or below zero are.
+    Where samples carry uncertainties, the weights take what is independent from sample to sample, the white's
+    noise, and the pose's uncertainty through the gradient of a first fit; the covariance counts every error
+    as shared by all whom it moves. Without uncertainties it comes from the scatter of the residuals, taken as
+    independent, and so tells nothing of a model that does not describe the surface.
 
     Parameters
     ----------
@@ -161,9 +145,15 @@ def fit(
     name : str
         Key of `analysis.models.MODELS`.
     loss : str, optional
-        One of `analysis.losses.LOSSES`; by default chi2 where there are uncertainties, else log.
+        One of `analysis.losses.LOSSES`, or robust: chi2 or log without what gross errors say (see
+        `analysis.robust`). By default chi2 where there are uncertainties, else log.
     channels : sequence of int, optional
-        Indices of the channels to fit together; by default all.
+        Indices of the channels to fit; by default all.
+    shape : str
+        One of `Shape`. Per channel, shape parameters have shape (C,), and the covariance still knows the
+        errors that channels share.
+    max_theta_deg : float, optional
+        Leave out samples whose light or camera lies further than this from the normal.
 
     Returns
     -------
@@ -172,216 +162,112 @@ def fit(
     Raises
     ------
     BadInput
-        If model or loss is unknown, or the samples cannot determine the model.
+        If model, loss or shape is unknown, or the samples cannot determine the model.
     """
     if name not in MODELS:
         raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(MODELS)}")
+    if shape not in list(Shape):
+        raise BadInput(f"unknown shape '{shape}'", todo=f"choose from {', '.join(Shape)}")
     if channels is not None:
         samples = samples.isel(channel=list(channels))
-    data = _prepare(samples)
-    loss = loss or ("chi2" if data.stated else "log")
-    problem = Problem(MODELS[name], Geometry(data.wi, data.wo), data.f_r.shape[1])
-    _check_enough(data, problem)
-    u = _total(data, []) if data.stated else None
-    goal = make_loss(loss, data.f_r, data.used, data.cos_i, u)
-    solution = minimise(problem, goal)
-    poses = uncertainty.shared_by_pose(data.samples, _model(problem, solution)) if data.stated else []
-    if poses:
+    data = observe(select(samples, max_theta_deg=max_theta_deg, where=name))
+    check_enough(data, MODELS[name])
+    goal = Goal(loss, data, shared=shape == Shape.SHARED)
+    blocks = goal.blocks(MODELS[name], data.total([]))
+    poses = uncertainty.shared_by_pose(data.samples, _model(goal, blocks)) if data.stated else []
+    if poses and goal.base == "chi2":
         # The pose's part needs the model's gradient: weigh once more with that of the first solution.
-        u = _total(data, poses)
-        if loss == "chi2":
-            goal = make_loss(loss, data.f_r, data.used, data.cos_i, u)
-            solution = minimise(problem, goal, solution)
-            poses = uncertainty.shared_by_pose(data.samples, _model(problem, solution))
-    return _result(data, problem, goal, solution, u=u, poses=poses)
+        blocks = goal.blocks(MODELS[name], data.total(poses), blocks)
+        poses = uncertainty.shared_by_pose(data.samples, _model(goal, blocks))
+    return _result(goal, blocks, poses)
 
 
-def _prepare(samples: xr.Dataset) -> _Data:
-    wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
-    f_r = np.asarray(samples["f_r"].to_numpy(), dtype=np.float64)
-    geometry = Geometry(wi, wo)
-    used = np.isfinite(f_r) & geometry.visible[:, None]
-    if "flags" in samples:
-        used &= samples["flags"].to_numpy() == 0
-    stated = uncertainty.has_uncertainty(samples)
-    if stated:
-        for column in (
-            uncertainty.independent(samples),
-            *(e.column for e in uncertainty.shared_in_f(samples)),
-        ):
-            used &= np.isfinite(column)
-    # Rows that no channel uses carry nothing but time.
-    rows = used.any(axis=1)
-    if not rows.all():
-        samples, wi, wo, f_r, used = samples.isel(sample=rows), wi[rows], wo[rows], f_r[rows], used[rows]
-    return _Data(samples, wi, wo, f_r, used, stated)
+def _model(goal: Goal, blocks: tuple[Block, ...]) -> Model:
+    return blocks[0].problem.model(**_values(goal, blocks))
 
 
-def _check_enough(data: _Data, problem: Problem) -> None:
-    """Refuse what no model, or not this one, can be fitted to."""
-    name = problem.model.NAME
-    if not data.used.any():
-        raise BadInput(
-            "no usable sample: all are flagged, without a value, or below the horizon",
-            where=name,
-            todo="see flags",
-        )
-    empty = np.flatnonzero(~data.used.any(axis=0))
-    if empty.size:
-        channel = data.samples["channel"].to_numpy()[empty[0]]
-        raise BadInput(f"channel {channel} has no usable sample", where=name, todo="leave the channel out")
-    if not np.any(data.f_r[data.used]):
-        raise BadInput("every f_r is zero", where=name, todo="check the reduction and the channel")
-    needed = len(problem.model.PARAMETERS)
-    directions = _different_pairs(data.wi, data.wo, needed)
-    if directions < needed:
-        raise BadInput(
-            f"{directions} different pairs of directions for {needed} parameters",
-            where=name,
-            todo=f"measure at least {needed} pairs, or fit a model with fewer parameters",
-        )
+def _values(goal: Goal, blocks: tuple[Block, ...]) -> dict[str, Array]:
+    """Parameters of all channels by name: shapes () where channels share them, else (C,)."""
+    each = [block.natural() for block in blocks]
+    if goal.shared:
+        return each[0]
+    return {name: np.concatenate([np.atleast_1d(values[name]) for values in each]) for name in each[0]}
 
 
-def _different_pairs(wi: Array, wo: Array, most: int) -> int:
-    """Count the different pairs of directions, as far as `most`."""
-    # The first hundred samples nearly always tell.
-    for count in (100, len(wi)):
-        rest, found = np.hstack([wi[:count], wo[:count]]), 0
-        while len(rest) and found < most:
-            rest = rest[np.max(np.abs(rest - rest[0]), axis=1) > SAME_DIRECTION]
-            found += 1
-        if found == most:
-            break
-    return found
-
-
-def _total(data: _Data, poses: list[uncertainty.SharedError]) -> Array:
-    """Return each datum's uncertainty for the weights: all of it but the one error that all data share."""
-    shared = [e.column for e in uncertainty.shared_in_f(data.samples) if e.name != "reference"]
-    columns = [uncertainty.independent(data.samples), *shared, *(e.column for e in poses)]
-    return uncertainty.quadrature(*columns) + np.zeros_like(data.f_r)
-
-
-def _natural(problem: Problem, solution: Solution) -> dict[str, Array]:
-    values: dict[str, Array] = {"kd": solution.kd}
-    if problem.has_lobe:
-        values["ks"] = solution.ks
-    for parameter, coordinate in zip(problem.shapes, solution.shapes, strict=True):
-        values[parameter.name] = np.asarray(
-            np.clip(parameter.coordinate.inverse(coordinate), *parameter.bounds)
-        )
-    return values
-
-
-def _model(problem: Problem, solution: Solution) -> Model:
-    return problem.model(**_natural(problem, solution))
-
-
-def _result(
-    data: _Data,
-    problem: Problem,
-    goal: Loss,
-    solution: Solution,
-    *,
-    u: Array | None,
-    poses: list[uncertainty.SharedError],
-) -> FitResult:
-    model, values = _model(problem, solution), _natural(problem, solution)
-    derivative = search_jacobian(problem, goal.weight(), solution.shapes, solution.kd, solution.ks)
-    on_bound = _on_bound(problem, solution)
-    lobe = about_the_lobe(problem, goal, solution)
-    undetermined = on_bound | np.array(
-        [any(c.kind is Kind.NARROW_LOBE and p.name in c.parameters for c in lobe) for p in problem.shapes],
-        dtype=bool,
-    )
-    scatter = 1.0 if data.stated else _scatter(data, goal, derivative)
-    own = data.used * _own_uncertainty(data, goal, scatter)
+def _result(goal: Goal, blocks: tuple[Block, ...], poses: list[uncertainty.SharedError]) -> FitResult:
+    data, values = goal.data, _values(goal, blocks)
+    layout = layout_of(blocks[0].problem, data.f_r.shape[1], shared=goal.shared)
+    u = data.total(poses)
+    loss, whole = goal.whole(blocks, u), assemble(layout, blocks)
+    on_bound = _rows(layout, blocks, [_on_bound(block) for block in blocks])
+    lobes = [caution for block in blocks for caution in about_the_lobe(block, goal.labels(block))]
+    narrow = {(name, c.channel) for c in lobes if c.kind is Kind.NARROW_LOBE for name in c.parameters}
+    undetermined = on_bound | np.array([name in narrow for name in layout.names])
+    own = data.used * _own_uncertainty(data, blocks)
     shared = [*uncertainty.shared_in_f(data.samples), *poses] if data.stated else []
-    normal = NormalEquations(derivative, goal, undetermined)
+    normal = NormalEquations(whole, loss, undetermined)
     search = normal.covariance(own, shared)
-    natural_slopes = to_natural(problem, solution, derivative)
-    names = row_names(problem)
-    covariance = transform(natural_slopes, search)
-    plain = np.square(scatter) * transform(natural_slopes, normal.inverse())
+    covariance = transform(whole.natural, search)
     u_flat = np.sqrt(np.diag(covariance))
+    plain = np.sqrt(np.diag(transform(whole.natural, normal.inverse())))
     metrics = goodness(
-        derivative.f, data.f_r, data.used, wi=data.wi, wo=data.wo, uncertainty=u, parameters=len(names)
+        whole.f, data.f_r, loss.counted, wi=data.wi, wo=data.wo, uncertainty=u, parameters=len(layout.names)
     )
     u_values = {
-        name: u_flat[[i for i, (n, _) in enumerate(names) if n == name]].reshape(np.shape(values[name]))
+        name: u_flat[[i for i, (n, _) in enumerate(layout.names) if n == name]].reshape(
+            np.shape(values[name])
+        )
         for name in values
     }
+    shapes = about_shapes(
+        layout, blocks[0].problem.shapes, values, u_values, on_bound=on_bound, channels=data.channels
+    )
     return FitResult(
-        model=model,
+        model=_model(goal, blocks),
         parameters=values,
         u=u_values,
         covariance=covariance,
-        names=names,
-        derived=_derived(values, names, natural_slopes, search),
-        metrics=metrics,
-        loss=goal.name,
-        count=int(data.used.sum()),
+        names=layout.names,
+        derived=derived(layout, values, whole.natural, search),
+        goodness=metrics,
+        loss=loss.name,
+        count=int(loss.counted.sum()),
         condition=normal.condition,
         cautions=(
-            *_one_each(about_shapes(problem, values, u_values, on_bound), lobe),
-            *about_scales(names, search, covariance),
+            *one_each(shapes, lobes),
+            *about_scales(layout, search, covariance),
+            *about_outliers(loss),
             *about_misfit(metrics),
         ),
-        state=State(problem, goal, solution, scatter, _ratio(u_flat, np.sqrt(np.diag(plain)))),
+        state=State(blocks, layout, loss, _ratio(u_flat, plain)),
     )
 
 
-def _one_each(shapes: list[Caution], lobe: list[Caution]) -> list[Caution]:
-    """Of two cautions about one parameter keep the one that says why: the bound, then the lobe."""
-    bound = {c.parameters for c in shapes if c.kind is Kind.AT_BOUND}
-    lobe = [c for c in lobe if c.parameters not in bound]
-    told = {c.parameters for c in lobe}
-    return [*(c for c in shapes if c.parameters not in told), *lobe]
+def _rows(layout: Layout, blocks: tuple[Block, ...], shapes: list[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """Put what is known of each block's shapes into rows (P,)."""
+    rows = np.zeros(len(layout.names), dtype=bool)
+    for block, known in zip(blocks, shapes, strict=True):
+        rows[layout.rows_of(block.channels)[: len(known)]] = known
+    return rows
+
+
+def _on_bound(block: Block) -> NDArray[np.bool_]:
+    low, high = block.problem.bounds()
+    near, shapes = AT_BOUND * (high - low), block.solution.shapes
+    return np.asarray((shapes - low < near) | (high - shapes < near))
+
+
+def _own_uncertainty(data: Observations, blocks: tuple[Block, ...]) -> Array:
+    """Independent uncertainty of the data (N, C): stated, or what the scatter of the residuals says it is."""
+    if data.stated:
+        return uncertainty.independent(data.samples)
+    own = np.zeros_like(data.f_r)
+    for block in blocks:
+        slope = block.loss.reweighted(None).weight()
+        own[:, list(block.channels)] = block.residual_scatter() / np.where(slope > 0.0, slope, np.inf)
+    return own
 
 
 def _ratio(whole: Array, part: Array) -> Array:
     known = np.isfinite(whole) & (part > 0.0)
     return np.where(known, np.where(known, whole, 1.0) / np.where(known, part, 1.0), np.nan)
-
-
-def _scatter(data: _Data, goal: Loss, derivative: SearchJacobian) -> float:
-    """Return the standard deviation of the residuals."""
-    free = max(int(data.used.sum()) - derivative.columns.shape[-1], 1)
-    return float(np.sqrt(np.sum(np.square(goal.residual(derivative.f))) / free))
-
-
-def _own_uncertainty(data: _Data, goal: Loss, scatter: float) -> Array:
-    """Independent uncertainty of the data (N, C): stated, or what the scatter of the residuals says it is."""
-    if data.stated:
-        return uncertainty.independent(data.samples)
-    slope = goal.weight()
-    return np.asarray(scatter / np.where(slope > 0.0, slope, np.inf))
-
-
-def _on_bound(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
-    low, high = problem.bounds()
-    near = AT_BOUND * (high - low)
-    return np.asarray((solution.shapes - low < near) | (high - solution.shapes < near))
-
-
-def _derived(
-    values: dict[str, Array], names: tuple[tuple[str, int | None], ...], natural_slopes: Array, search: Array
-) -> dict[str, tuple[Array, Array]]:
-    """Derive ks F0 for models with a reflectance of facets, with its uncertainty."""
-    if "ior" in values:
-        name, reflectance = "ior", normal_reflectance(values["ior"])
-        slope = normal_reflectance_slope(values["ior"])
-    elif "f0" in values:
-        name, reflectance, slope = "f0", values["f0"], np.ones(())
-    else:
-        return {}
-    rows = []
-    for c, ks in enumerate(values["ks"]):
-        # Along the search coordinates: ks and ior each vary widely, their product hardly.
-        gradient = reflectance * natural_slopes[names.index(("ks", c))]
-        rows.append(gradient + ks * slope * natural_slopes[names.index((name, None))])
-    gradients = np.array(rows)
-    # An ior held on its bound is taken as it is: ks F0 hardly depends on it.
-    known = np.where(np.isinf(search), 0.0, search)
-    variance = np.einsum("cp,pq,cq->c", gradients, known, gradients)
-    return {"ks_F0": (values["ks"] * reflectance, np.sqrt(np.maximum(variance, 0.0)))}

@@ -18,10 +18,12 @@ from analysis.models.base import Geometry
 from rig.angles import from_half_difference
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from analysis.layout import Layout
     from analysis.losses import Loss
-    from analysis.solver import Solution
+    from analysis.models.base import Parameter
+    from analysis.state import Block
 
 Array = NDArray[np.float64]
 
@@ -57,6 +59,7 @@ class Kind(StrEnum):
     NO_LOBE = "no-lobe"
     KD_KS = "kd-ks"
     KS_F0 = "ks-f0"
+    OUTLIERS = "outliers"
     MISFIT = "misfit"
 
 
@@ -72,11 +75,14 @@ class Caution:
         Which parameters it is about; empty for the whole fit.
     text : str
         For people.
+    channel : int or None
+        Which channel alone it is about.
     """
 
     kind: Kind
     parameters: tuple[str, ...]
     text: str
+    channel: int | None = None
 
 
 def half_width(problem: Problem, shapes: Array) -> float:
@@ -106,7 +112,7 @@ def half_width(problem: Problem, shapes: Array) -> float:
     return min(widths)
 
 
-def about_the_lobe(problem: Problem, loss: Loss, solution: Solution) -> list[Caution]:
+def about_the_lobe(block: Block, label: tuple[int, str] | None = None) -> list[Caution]:
     """Say whether there is a lobe, and whether samples lie on enough of it.
 
     A lobe narrower than the samples' grid is seen at its top alone, or on the tail that the model's formula
@@ -114,24 +120,24 @@ def about_the_lobe(problem: Problem, loss: Loss, solution: Solution) -> list[Cau
 
     Parameters
     ----------
-    problem : Problem
-        Directions and model.
-    loss : Loss
-        The data, arrays (N, C).
-    solution : Solution
-        The fit.
+    block : Block
+        Channels that share their shapes.
+    label : (int, str), optional
+        Number and name of the channel, where the others have shapes of their own.
 
     Returns
     -------
     list of Caution
     """
+    problem, solution = block.problem, block.solution
+    channel, of = _named(label)
     if not problem.has_lobe or not problem.shapes:
         return []
     if not np.any(solution.ks > 0.0):
-        return [Caution(Kind.NO_LOBE, ("ks",), "the samples show no specular lobe")]
+        return [Caution(Kind.NO_LOBE, ("ks",), f"{of}the samples show no specular lobe", channel)]
     name = problem.shapes[0].name
     width = half_width(problem, solution.shapes)
-    used = np.any(loss.used, axis=1)
+    used = np.any(block.loss.counted, axis=1)
     wi, wo = problem.geometry.wi[used], problem.geometry.wo[used]
     theta_h = np.arctan(np.sqrt(problem.geometry.tan2_h[used, 0]))
     inside = np.unique(np.round(theta_h[theta_h < width] / (RESOLVED * width))).size
@@ -143,7 +149,13 @@ def about_the_lobe(problem: Problem, loss: Loss, solution: Solution) -> list[Cau
         samples = f"the directions are {np.degrees(step):.2g} deg apart"
     else:
         return []
-    return [Caution(Kind.NARROW_LOBE, (name,), f"{falls} and {samples}: {name} is not to be trusted")]
+    text = f"{of}{falls} and {samples}: {name} is not to be trusted"
+    return [Caution(Kind.NARROW_LOBE, (name,), text, channel)]
+
+
+def _named(label: tuple[int, str] | None) -> tuple[int | None, str]:
+    """Return a channel's number and the beginning of a sentence about it."""
+    return (None, "") if label is None else (label[0], f"{label[1]}: ")
 
 
 def grid_step(wi: Array, wo: Array, theta_h: Array) -> float:
@@ -177,44 +189,62 @@ def grid_step(wi: Array, wo: Array, theta_h: Array) -> float:
 
 
 def about_shapes(
-    problem: Problem, values: Mapping[str, Array], u: Mapping[str, Array], on_bound: Iterable[bool]
+    layout: Layout,
+    shapes: Sequence[Parameter],
+    values: Mapping[str, Array],
+    u: Mapping[str, Array],
+    *,
+    on_bound: NDArray[np.bool_],
+    channels: Sequence[str],
 ) -> list[Caution]:
     """Say which shapes the samples leave open.
 
     Parameters
     ----------
-    problem : Problem
-        The model.
+    layout : Layout
+        Rows of the parameters.
+    shapes : sequence of Parameter
+        The model's shapes.
     values, u : mapping of str to ndarray
         Parameters by name, and their standard uncertainty.
-    on_bound : iterable of bool
-        Whether each shape ended on a bound.
+    on_bound : ndarray of bool, shape (P,)
+        Which rows ended on a bound.
+    channels : sequence of str
+        Names of the channels.
 
     Returns
     -------
     list of Caution
     """
-    cautions = []
-    for parameter, bound in zip(problem.shapes, on_bound, strict=True):
-        name = parameter.name
-        value, spread = float(values[name]), float(u[name])
+    known, cautions = {parameter.name: parameter for parameter in shapes}, []
+    for row, (name, c) in enumerate(layout.names[: -len(layout.scales) * layout.channels]):
+        value, spread = (float(np.ravel(each[name])[c or 0]) for each in (values, u))
+        _, of = _named(None if c is None else (c, channels[c]))
         only = f": of {name} and ks only ks_F0 is meaningful" if name in NORMAL_REFLECTANCE else ""
-        if bound:
-            text = f"{name} ended on the bound {value:.4g} and is not determined{only}"
-            cautions.append(Caution(Kind.AT_BOUND, (name,), text))
-        elif not spread / abs(parameter.coordinate.slope(value)) < UNDETERMINED:
-            text = f"{name} is not identifiable from these samples{only}"
-            cautions.append(Caution(Kind.NOT_DETERMINED, (name,), text))
+        if on_bound[row]:
+            text = f"{of}{name} ended on the bound {value:.4g} and is not determined{only}"
+            cautions.append(Caution(Kind.AT_BOUND, (name,), text, c))
+        elif not spread / abs(known[name].coordinate.slope(value)) < UNDETERMINED:
+            text = f"{of}{name} is not identifiable from these samples{only}"
+            cautions.append(Caution(Kind.NOT_DETERMINED, (name,), text, c))
     return cautions
 
 
-def about_scales(names: Sequence[tuple[str, int | None]], search: Array, natural: Array) -> list[Caution]:
+def one_each(shapes: list[Caution], lobes: list[Caution]) -> list[Caution]:
+    """Of two cautions about one parameter keep the one that says why: the bound, then the lobe."""
+    bound = {(c.parameters, c.channel) for c in shapes if c.kind is Kind.AT_BOUND}
+    lobes = [c for c in lobes if (c.parameters, c.channel) not in bound]
+    told = {(c.parameters, c.channel) for c in lobes}
+    return [*(c for c in shapes if (c.parameters, c.channel) not in told), *lobes]
+
+
+def about_scales(layout: Layout, search: Array, natural: Array) -> list[Caution]:
     """Say which scales trade: kd for ks under a lobe like Lambert's, ks for the facets' reflectance.
 
     Parameters
     ----------
-    names : sequence of (str, int or None)
-        Parameter and channel of each row.
+    layout : Layout
+        Rows of both matrices.
     search, natural : ndarray, shape (P, P)
         Covariance in search coordinates (kd and the specular part's size, at fixed shapes' effect on it)
         and of the parameters themselves.
@@ -223,22 +253,29 @@ def about_scales(names: Sequence[tuple[str, int | None]], search: Array, natural
     -------
     list of Caution
     """
-    rows = {name: i for i, name in enumerate(names)}
-    channels = [c for name, c in names if name == "ks"]
-    cautions = []
-    alike = [_correlation(search, rows["kd", c], rows["ks", c]) for c in channels]
-    worst = min(alike, default=0.0)
+    if "ks" not in layout.scales:
+        return []
+    channels, cautions = range(layout.channels), []
+    worst = min(_correlation(search, layout.row("kd", c), layout.row("ks", c)) for c in channels)
     if worst < -ALIKE:
         text = f"the lobe is so broad that kd and ks trade (correlation {worst:.3f}): only their sum is known"
         cautions.append(Caution(Kind.KD_KS, ("kd", "ks"), text))
     for name in NORMAL_REFLECTANCE:
-        if (name, None) in rows:
-            trade = [_correlation(natural, rows[name, None], rows["ks", c]) for c in channels]
-            worst = min(trade, default=0.0)
+        if name in layout.shapes:
+            worst = min(_correlation(natural, layout.row(name, c), layout.row("ks", c)) for c in channels)
             if worst < -TRADE:
                 text = f"ks and {name} trade (correlation {worst:.4f}): only ks_F0 is meaningful"
                 cautions.append(Caution(Kind.KS_F0, ("ks", name), text))
     return cautions
+
+
+def about_outliers(loss: Loss) -> list[Caution]:
+    """Say how many data a robust fit set aside."""
+    used, aside = int(loss.used.sum()), int((loss.used & ~loss.counted).sum())
+    if not aside:
+        return []
+    text = f"{aside} of {used} data lie far off the model and were set aside"
+    return [Caution(Kind.OUTLIERS, (), text)]
 
 
 def about_misfit(metrics: Mapping[str, float]) -> list[Caution]:

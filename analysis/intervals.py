@@ -19,6 +19,7 @@ from analysis.equations import Linearised
 
 if TYPE_CHECKING:
     from analysis.fit import FitResult
+    from analysis.state import Block
 
 Array = NDArray[np.float64]
 
@@ -52,37 +53,46 @@ def profile_intervals(result: FitResult, level: float = LEVEL, *, scales: bool =
     """
     from scipy.stats import norm
 
-    found = _Profile(result).intervals(float(norm.ppf(0.5 + 0.5 * level)), scales=scales)
-    return {name: ends for name, ends in found.items() if scales or name not in {"kd", "ks"}}
+    quantile = float(norm.ppf(0.5 + 0.5 * level))
+    ends = np.empty((len(result.names), 2))
+    for block in result.state.blocks:
+        ends[result.state.layout.rows_of(block.channels)] = _Profile(result, block).intervals(
+            quantile, scales=scales
+        )
+    found = {}
+    for name in result.parameters:
+        rows = [i for i, (other, _) in enumerate(result.names) if other == name]
+        found[name] = ends[rows].reshape(*np.shape(result.parameters[name]), 2)
+    return {name: each for name, each in found.items() if scales or name not in {"kd", "ks"}}
 
 
 class _Profile:
-    """A fit whose coordinates are the shapes', kd and ks, so that each can be held."""
+    """Channels that share their shapes, with coordinates (the shapes', kd and ks) that can each be held."""
 
-    def __init__(self, result: FitResult) -> None:
-        state = result.state
-        self._result, self._problem = result, state.problem
-        loss = state.loss.by_channel()
-        size = Linearised(state.problem, loss).size(state.problem.terms(state.solution.shapes[None]).lobe)[0]
-        self._equations = Linearised(state.problem, loss, fixed_size=size)
-        low, high = state.problem.bounds()
-        scales = 2 * state.problem.channels
+    def __init__(self, result: FitResult, block: Block) -> None:
+        self._problem, best = block.problem, block.solution
+        loss = block.loss.by_channel()
+        size = Linearised(block.problem, loss).size(block.problem.terms(best.shapes[None]).lobe)[0]
+        self._equations = Linearised(block.problem, loss, fixed_size=size)
+        low, high = block.problem.bounds()
+        scales = 2 * block.problem.channels
         self._low = np.concatenate([low, np.zeros(scales)])
         self._high = np.concatenate([high, np.full(scales, np.inf)])
-        self._best = np.concatenate([state.solution.shapes, state.solution.kd, size * state.solution.ks])
+        self._best = np.concatenate([best.shapes, best.kd, size * best.ks])
         # Coordinates per natural unit.
-        steps = [1.0 / p.coordinate.slope(float(result.parameters[p.name])) for p in state.problem.shapes]
-        units = np.concatenate([steps, np.ones(state.problem.channels), size])
-        u = np.sqrt(np.diag(result.covariance))
+        values = block.natural()
+        steps = [1.0 / p.coordinate.slope(float(values[p.name])) for p in block.problem.shapes]
+        units = np.concatenate([steps, np.ones(block.problem.channels), size])
+        rows = result.state.layout.rows_of(block.channels)
+        self._count, u = len(rows), np.sqrt(np.diag(result.covariance))
         self._u = np.full(len(self._best), np.inf)
-        self._u[: len(u)] = u
+        self._u[: len(rows)] = u[rows]
         self._u *= units
-        inflation = np.full(len(self._best), np.nan)
-        inflation[: len(u)] = state.inflation
-        self._per_unit = state.scatter * inflation
+        self._per_unit = np.full(len(self._best), np.nan)
+        self._per_unit[: len(rows)] = result.state.rise[rows]
 
-    def intervals(self, quantile: float, *, scales: bool) -> dict[str, Array]:
-        """Both ends of all coordinates, or of the shapes alone, as natural values."""
+    def intervals(self, quantile: float, *, scales: bool) -> Array:
+        """Both ends of all coordinates, or of the shapes alone, as natural values (shapes, kd, ks; 2)."""
         known = np.isfinite(self._u) & (self._u > 0.0) & np.isfinite(self._per_unit)
         if not scales:
             known[len(self._problem.shapes) :] = False
@@ -90,7 +100,7 @@ class _Profile:
         ends = np.stack([self._low, self._high], axis=1)
         for side, sign in ((0, -1.0), (1, 1.0)) if held.size else ():
             ends[held, side] = self._ends(held, sign, quantile)
-        return self._named(ends)
+        return self._natural(ends)[: self._count]
 
     def _ends(self, held: NDArray[np.intp], sign: float, quantile: float) -> Array:
         """Find where the root of the rise of the cost is the quantile, by secants from the centre."""
@@ -126,15 +136,12 @@ class _Profile:
     def _cost(self, x: Array) -> Array:
         return self._equations.all_parameters(x, np.arange(len(x))).cost
 
-    def _named(self, ends: Array) -> dict[str, Array]:
-        """Turn ends in coordinates (P, 2) into natural values by parameter."""
+    def _natural(self, ends: Array) -> Array:
+        """Turn ends in coordinates (P, 2) into natural values."""
         shapes, channels = len(self._problem.shapes), self._problem.channels
-        named: dict[str, Array] = {}
-        for i, parameter in enumerate(self._problem.shapes):
-            values = [parameter.coordinate.inverse(float(end)) for end in ends[i]]
-            named[parameter.name] = np.clip(values, *parameter.bounds)
-        named["kd"] = ends[shapes : shapes + channels]
-        if self._problem.has_lobe:
-            size = self._equations.size(np.zeros((1, 1)))[0]
-            named["ks"] = ends[shapes + channels :] / size[:, None]
-        return {name: named[name] for name in self._result.parameters}
+        values = ends.copy()
+        for i, each in enumerate(self._problem.natural(ends[:shapes].T).values()):
+            values[i] = each
+        size = self._equations.size(np.zeros((1, 1)))[0]
+        values[shapes + channels :] /= size[:, None]
+        return values

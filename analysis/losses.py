@@ -11,12 +11,16 @@ log      ln(1 + f x) - ln(1 + d x)    the default elsewhere (Low et al. 2012); t
 cbrt     (f x)^(1/3) - (d x)^(1/3)    perceptually best of its family (Fores et al. 2012)
 l2       (f - d) x                    the oldest (Ngan et al. 2005); ruled by peaks
 ======== ============================ ====================================================
+
+A fifth, `robust`, is chi2 or log with weights that gross errors lose: see `analysis.robust`. Data at or below
+zero count in all of them: noise around nothing has both signs, and to leave one out would brighten a dark
+surface.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LOSSES = ("chi2", "log", "cbrt", "l2")
+ROBUST = "robust"
 LOWEST = -0.99
 """ln(1 + v) is taken at no smaller v: a datum this negative is noise, whatever the loss."""
 FLAT_CBRT = 1e-4
@@ -53,11 +58,14 @@ class Loss(ABC):
         Measured f_r in 1/sr, 0 where unused.
     used : ndarray of bool, shape (N, C)
         Which data count.
+    root : ndarray, shape (N, C), or None
+        Root of a weight with which each residual counts besides; None for 1.
     """
 
     name: str
     data: Array
     used: NDArray[np.bool_]
+    root: Array | None = field(default=None, kw_only=True)
 
     @property
     @abstractmethod
@@ -76,9 +84,26 @@ class Loss(ABC):
     def by_channel(self, rows: Rows = EVERY) -> Self:
         """Return the loss of some samples with channels first: its arrays are (C, n), and so must f be."""
 
+    def reweighted(self, weights: Array | None) -> Self:
+        """Return the loss with the square of each residual counting `weights` (N, C) times; None for once."""
+        return replace(self, root=None if weights is None else np.sqrt(weights))
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Which data count for more than nothing, shape (N, C)."""
+        return self.used if self.root is None else self.used & (self.root > 0.0)
+
+    def _counted(self, values: Array) -> Array:
+        """Residuals or slopes of used data with the root of their weight, 0 for the others."""
+        whole = values if self.root is None else values * self.root
+        return np.where(self.used, whole, 0.0)
+
     def weight(self) -> Array:
         """Return the slope at the data: a linear loss's weight, another's near the solution."""
         return self.slope(self.data)
+
+    def _root_by_channel(self, rows: Rows) -> Array | None:
+        return None if self.root is None else _channels_first(self.root, rows)
 
     def secant(self, f: Array) -> Array:
         """Return the weight with which a linear loss would have this residual at f, 0 where unused."""
@@ -107,16 +132,16 @@ class Weighted(Loss):
 
     def residual(self, f: Array) -> Array:
         """Return weight times (f - d)."""
-        return np.where(self.used, self.weights * (f - self.data), 0.0)
+        return self._counted(self.weights * (f - self.data))
 
     def slope(self, f: Array) -> Array:
         """Return the weight."""
-        return np.where(self.used, self.weights, 0.0) + np.zeros_like(f)
+        return self._counted(self.weights) + np.zeros_like(f)
 
     def by_channel(self, rows: Rows = EVERY) -> Self:
         """Return the loss of some samples with channels first."""
         data, used, weights = (_channels_first(a, rows) for a in (self.data, self.used, self.weights))
-        return replace(self, data=data, used=used, weights=weights)
+        return replace(self, data=data, used=used, weights=weights, root=self._root_by_channel(rows))
 
 
 @dataclass(frozen=True)
@@ -142,7 +167,7 @@ class Transformed(Loss):
 
     def residual(self, f: Array) -> Array:
         """Return T(f cos) - T(d cos)."""
-        return np.where(self.used, self.transform(f * self.cos_i) - self._target, 0.0)
+        return self._counted(self.transform(f * self.cos_i) - self._target)
 
     @cached_property
     def _target(self) -> Array:
@@ -150,12 +175,12 @@ class Transformed(Loss):
 
     def slope(self, f: Array) -> Array:
         """Return T'(f cos) cos."""
-        return np.where(self.used, self.transform_slope(f * self.cos_i) * self.cos_i, 0.0)
+        return self._counted(self.transform_slope(f * self.cos_i) * self.cos_i)
 
     def by_channel(self, rows: Rows = EVERY) -> Self:
         """Return the loss of some samples with channels first."""
         data, used, cos_i = (_channels_first(a, rows) for a in (self.data, self.used, self.cos_i))
-        return replace(self, data=data, used=used, cos_i=cos_i)
+        return replace(self, data=data, used=used, cos_i=cos_i, root=self._root_by_channel(rows))
 
 
 def _channels_first(column: NDArray[Any], rows: Rows) -> NDArray[Any]:
@@ -231,4 +256,4 @@ def make_loss(
         case "cbrt":
             return Transformed(name, clean, used, cos_i, _cbrt, _cbrt_slope)
         case _:
-            raise BadInput(f"unknown loss '{name}'", todo=f"choose from {', '.join(LOSSES)}")
+            raise BadInput(f"unknown loss '{name}'", todo=f"choose from {', '.join((*LOSSES, ROBUST))}")

@@ -93,7 +93,7 @@ def our_fit(samples: xr.Dataset, name: str) -> Outcome:
     """Fit with `analysis.fit.fit`."""
     begin = time.process_time()
     result = fit(samples, name, loss="log")
-    return Outcome(result.metrics["rms_log"], time.process_time() - begin)
+    return Outcome(result.goodness["rms_log"], time.process_time() - begin)
 
 
 def side_by_side(materials: list[xr.Dataset], name: str) -> tuple[list[Outcome], list[Outcome]]:
