@@ -42,7 +42,7 @@ SHADOW_RECEIVE_DEG = 10.0
 SHADOW_AZIMUTH_DEG = 30.0
 # What xlrd raises for files that are cut or changed; its own classes are added when it is imported.
 _DAMAGE = (
-    struct.error, IndexError, KeyError, ValueError, AssertionError, OSError, TypeError, AttributeError,
+    struct.error, LookupError, ValueError, AssertionError, OSError, TypeError, AttributeError,
     NotImplementedError, MemoryError, OverflowError, RecursionError,
 )  # fmt: skip
 
