@@ -32,6 +32,7 @@ COMMANDS: dict[str, str] = {
     "reduce": "a session to BRDF samples with uncertainty",
     "fit": "reflectance models to samples of any laboratory",
     "check": "samples of any laboratory: reciprocity, energy, symmetry, noise",
+    "convert": "samples to another format, and what that loses",
     "report": "a session's page: coverage, lobes, parameters",
     "bench": "time against error, from a checkout",
 }

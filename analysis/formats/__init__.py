@@ -62,7 +62,7 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
         if not inside.exists():
             raise BadInput(f"holds no {SESSION_FILE}", where=str(path), todo=f"run gonio reduce {path} first")
         path = inside
-    module = _recognise(path)
+    module = recognise(path)
     given = {name: value for name, value in options.items() if value not in (None, False)}
     for name in given:
         if name not in module.OPTIONS:
@@ -101,14 +101,32 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     return loss
 
 
-def require_writer(path: Path) -> ModuleType:
+def require_writer(path: Path, to: str = "") -> ModuleType:
     """Give the format that writes a file of that name, before there is anything to write.
+
+    Parameters
+    ----------
+    path : Path
+        The file to be.
+    to : str
+        A format's short name, of `NAMES`; without it the name's end chooses.
 
     Raises
     ------
     BadInput
-        If no format is written under that suffix, or there is no such folder.
+        If no format is written under that suffix or name, or there is no such folder.
     """
+    if not path.absolute().parent.is_dir():
+        raise BadInput("no such folder", where=str(path.parent), todo="make it, or choose another place")
+    if to:
+        named = {
+            name: module for name, module in zip(NAMES, _modules(), strict=True) if hasattr(module, "SUFFIX")
+        }
+        if to not in named:
+            raise BadInput(
+                f"no format '{to}' is written", where=str(path), todo=f"choose from {', '.join(named)}"
+            )
+        return named[to]
     writers = {module.SUFFIX: module for module in _modules() if hasattr(module, "SUFFIX")}
     # The longest end counts: two formats share `.bsdf`, and one of them wants a word before it.
     suffix = max((end for end in writers if path.name.lower().endswith(end)), key=len, default="")
@@ -118,12 +136,17 @@ def require_writer(path: Path) -> ModuleType:
             where=str(path),
             todo=f"end the name in {', '.join(writers)}",
         )
-    if not path.absolute().parent.is_dir():
-        raise BadInput("no such folder", where=str(path.parent), todo="make it, or choose another place")
     return writers[suffix]
 
 
-def _recognise(path: Path) -> ModuleType:
+def recognise(path: Path) -> ModuleType:
+    """Tell a file's format by its content.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, empty, too large or of no known format.
+    """
     if not path.is_file():
         raise BadInput("no such file", where=str(path), todo="check the path")
     size = path.stat().st_size

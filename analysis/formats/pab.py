@@ -99,13 +99,13 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
         raise BadInput(
             f"{len(texts)} directions of incidence, and a PAB file holds one",
             where="samples",
-            todo="write a folder of files, with analysis.formats.pab.write_folder",
+            todo="gonio convert --to pab writes a folder of files, where OUT is one",
         )
     path.write_text(texts[0], encoding="utf-8", newline="\n")
     return unchanged(samples, written)
 
 
-def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
+def write_folder(samples: xr.Dataset, folder: Path) -> tuple[list[Path], Loss]:
     """Write a file for each direction of incidence, as `pabopto2bsdf` takes them.
 
     Parameters
@@ -118,15 +118,17 @@ def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
 
     Returns
     -------
-    list of Path
+    paths : list of Path
         The files, by polar angle and azimuth of the light.
+    loss : Loss
+        What they do not hold.
 
     Raises
     ------
     BadInput
         As `write`, or if the folder cannot be made.
     """
-    texts, _ = _texts(samples)
+    texts, written = _texts(samples)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -137,7 +139,7 @@ def write_folder(samples: xr.Dataset, folder: Path) -> list[Path]:
     for path, text in zip(paths, texts, strict=True):
         with whole_file(path) as file:
             file.write_text(text, encoding="utf-8", newline="\n")
-    return paths
+    return paths, unchanged(samples, written)
 
 
 def _texts(samples: xr.Dataset) -> tuple[list[str], int]:

@@ -212,7 +212,7 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     if missing or len(np.unique(flat)) != len(flat):
         raise BadInput(
             f"the samples do not fill their grid of {' x '.join(map(str, shape))} directions",
-            where=str(path),
+            where="samples",
             todo="SSDD holds full grids only: select such samples, or write NetCDF, CSV or ASTM",
         )
     table = samples["f_r"].to_numpy()[np.argsort(flat)]
@@ -239,6 +239,6 @@ def _model(samples: xr.Dataset) -> list[str]:
         return ["COLOR_MODEL monochrome"]
     raise BadInput(
         f"channels {', '.join(names[:5])} are neither RGB, XYZ nor wavelengths",
-        where="SSDD",
+        where="samples",
         todo="select one channel or name the wavelengths",
     )

@@ -52,7 +52,7 @@ def tools():
 
 def test_radiances_tools_take_it(tools, tmp_path):
     """Catches headers, angles or values that Radiance refuses, scales or turns."""
-    paths = pab.write_folder(paint([0.0, 15.0, 30.0, 45.0, 60.0]), tmp_path / "pab")
+    paths, _ = pab.write_folder(paint([0.0, 15.0, 30.0, 45.0, 60.0]), tmp_path / "pab")
     made = tools("pabopto2bsdf", *paths)
     assert made.stderr == b""
     sir = tmp_path / "paint.sir"
@@ -79,7 +79,7 @@ def test_radiances_tools_take_it(tools, tmp_path):
 def test_read_back(tmp_path):
     """Catches azimuths, cosines or digits lost between writer and reader."""
     samples = paint([0.0, 40.0])
-    paths = pab.write_folder(samples, tmp_path)
+    paths, _ = pab.write_folder(samples, tmp_path)
     together = tmp_path / "all.txt"
     together.write_text("".join(path.read_text() for path in paths))
     again = read(together)

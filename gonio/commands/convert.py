@@ -1,0 +1,101 @@
+"""Write samples of any laboratory in another format, and say what that loses.
+
+FILE is anything that gonio reads (docs/formats.md); its content tells the format. The end of OUT, or --to,
+chooses the format to write. Several files of the same channels, such as one for each incidence, become one.
+Where the format holds samples, the written file is read again and compared with what went in; where it
+wants a grid, the samples are interpolated, and the errors of that are told. Cells of such a grid that no
+sample is near are not invented: the command refuses, unless --fill allows it.
+
+The JSON object: files, out, format, samples, written, loss: {median_relative, p95_relative, worst_relative,
+where_worst, cells, filled, filled_part, dropped}, doubts
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.output import add_json_option, print_json, say
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    import argparse
+
+    from analysis.formats.loss import Loss
+
+EXAMPLE = "gonio convert garnet_red.brdf garnet_red.bsdf --wavelength-nm 450 550 650 --fill"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `gonio convert`."""
+    parser.add_argument("files", nargs="+", metavar="FILE", help="samples to convert")
+    parser.add_argument("out", metavar="OUT", help="file to write; for --to pab a folder too")
+    parser.add_argument(
+        "--to", default="", metavar="FORMAT", help="netcdf, csv, rgl, merl, pab, zemax, astm or ssdd"
+    )
+    parser.add_argument("--wavelength-nm", nargs="+", type=float, metavar="W", help="only these channels")
+    parser.add_argument("--max-theta-deg", type=float, metavar="T", help="leave out larger angles")
+    parser.add_argument(
+        "--fill", action="store_true", help="allow guesses in cells of a grid that no sample is near"
+    )
+    parser.add_argument(
+        "--blank", metavar="FILE", help="RT-300S: the measurement without a sample, subtracted"
+    )
+    parser.add_argument("--material", metavar="NAME", help="in-plane tables: which of several materials")
+    add_json_option(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Convert and say what was lost; see the module's description."""
+    from analysis.conversion import convert
+    from analysis.formats import require_writer
+    from analysis.joining import join
+    from analysis.samples import read, select
+
+    out = Path(options.out)
+    _require_other(out, options.files)
+    require_writer(out, options.to)  # before the work, not after it
+    tables = [
+        select(
+            read(file, blank=options.blank, material=options.material),
+            wavelength_nm=options.wavelength_nm,
+            max_theta_deg=options.max_theta_deg,
+            where=file,
+        )
+        for file in options.files
+    ]
+    samples, left_behind = join(tables, options.files)
+    doubts = str(samples.attrs.get("doubts", ""))
+    if doubts:
+        say(f"gonio convert: doubtful: {doubts}")
+    done = convert(samples, out, to=options.to, fill=options.fill)
+    result = {
+        "files": options.files,
+        "out": [str(path) for path in done.files],
+        "format": done.format,
+        "samples": samples.sizes["sample"],
+        "written": done.samples,
+        "loss": _entry(done.loss, left_behind),
+        "doubts": doubts,
+    }
+    if options.json:
+        print_json(result)
+        return 0
+    where = out if len(done.files) == 1 else f"{len(done.files)} files in {out}"
+    print(f"{result['samples']} samples to {where} ({done.format}), {done.samples} read back")
+    print(f"change: {done.loss}")
+    if left_behind:
+        print(f"not in all files: {', '.join(left_behind)}")
+    return 0
+
+
+def _require_other(out: Path, files: list[str]) -> None:
+    for file in files:
+        if out.exists() and Path(file).exists() and out.samefile(file):
+            raise BadInput("is one of the files to convert", where=str(out), todo="write to another name")
+
+
+def _entry(loss: Loss, left_behind: tuple[str, ...]) -> dict[str, Any]:
+    entry = asdict(loss) | {"filled_part": loss.filled_part}
+    return entry | {"dropped": [*loss.dropped, *left_behind]}
