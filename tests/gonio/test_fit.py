@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from analysis.models import DEFAULT_MODELS, FITTED_MODELS, MODELS
+from analysis.models import DEFAULT_MODELS, MODELS
+from analysis.ranking import FITTED
 from analysis.samples import make_samples, write
 from gonio.cli import main
 from rig.angles import spherical_to_direction
@@ -90,12 +91,16 @@ def test_files_side_by_side(table, tmp_path, capsys):
     out = capsys.readouterr().out
     assert f"[1] {table}" in out
     assert f"[2] {other}" in out
-    (kd,) = (line for line in out.splitlines() if line.strip().startswith("kd 1"))
+    (kd,) = (line for line in out.splitlines() if line.strip().startswith("kd R"))
     assert kd.endswith("differs")
     assert main([*arguments, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     (row,) = (r for r in printed["comparison"] if (r["parameter"], r["channel"]) == ("kd", 0))
     assert np.diff(row["values"]) == pytest.approx(0.01 * np.pi, rel=1e-3)
+    assert row["differs"]
+    assert row["p_value"] < 1e-6
+    (row,) = (r for r in printed["comparison"] if r["parameter"] == "m")
+    assert not row["differs"]
     assert main(["fit", str(table), "--compare"]) == 2
     assert "name the files to compare" in capsys.readouterr().err
 
@@ -104,14 +109,14 @@ def test_all_means_all(table, capsys):
     """Catches a model that a fit cannot take, or that --all forgets."""
     assert main(["fit", str(table), "--all", "--json"]) == 0
     fits = json.loads(capsys.readouterr().out)["fits"]
-    assert {entry["model"] for entry in fits} == set(FITTED_MODELS)
+    assert {entry["model"] for entry in fits} == set(FITTED)
     assert fits[0]["metrics"]["rms_log"] < 1e-6
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--model", "gxx"], "choose from lambert, phong"),
+        (["--model", "gxx"], "did you mean ggx?"),
         (["--wavelength-nm", "550"], "its channels are R, G"),
         (["--loss", "rmse"], "chi2, log, cbrt, l2"),
         (["--loss", "chi2"], "needs uncertainties"),
@@ -135,6 +140,54 @@ def test_bad_files_say_where(tmp_path, capsys):
     assert "bad.csv: line 2, column f_r" in capsys.readouterr().err
     assert main(["fit", str(tmp_path / "nowhere.csv")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+DIRECTIONS = [(30, 180, 3 * k, 0) for k in range(25)]
+HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg"
+
+
+def lines(directions, f_r=lambda k: 0.1 + 0.01 * k):
+    """Return rows of a table."""
+    return [",".join(map(str, (*angles, f_r(k)))) for k, angles in enumerate(directions)]
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "complaint"),
+    [
+        ("f_r", lines(DIRECTIONS[:2]), "2 different pairs of directions for 4 parameters; measure"),
+        ("f_r", lines([DIRECTIONS[3]] * 40), "1 different pairs of directions"),
+        ("f_r", lines(DIRECTIONS, lambda _: 0.0), "every f_r is zero"),
+        ("f_r_R,f_r_G", lines(DIRECTIONS, lambda _: "0.1,nan"), "line 2, column f_r_G: 'nan' is"),
+        ("f_r", lines([(30, 180, round(np.radians(3 * k), 4), 0) for k in range(25)]), "theta_o looks like"),
+        ("f_r", lines([(a, 3.14159, c, 0) for a, _, c, _ in DIRECTIONS]), "phi_i looks like radians"),
+        ("f_r", lines([(a, 180, 95 + k, 0) for k, (a, *_) in enumerate(DIRECTIONS)]), "below the horizon"),
+        ("f_r", [], "has a header but no rows"),
+    ],
+)  # fmt: skip
+def test_samples_that_no_fit_can_use(tmp_path, capsys, head, rows, complaint):
+    """Catches a fit to nothing, or an error that is not one line with what would be needed."""
+    path = tmp_path / "theirs.csv"
+    path.write_text("\n".join([f"{HEAD},{head}", *rows, ""]))
+    assert main(["fit", str(path), "--model", "ggx"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    error = [line for line in captured.err.splitlines() if not line.startswith("fits ")]
+    assert len(error) == 1
+    assert complaint in error[0]
+    assert str(path) in error[0]
+
+
+def test_all_leaves_out_what_the_samples_cannot_carry(tmp_path, capsys):
+    """Catches one large model that costs a small file all the others."""
+    path = tmp_path / "few.csv"
+    path.write_text("\n".join([f"{HEAD},f_r", *lines(DIRECTIONS[:4]), ""]))
+    assert main(["fit", str(path), "--all", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    tried = {each["model"] for each in printed["fits"]}
+    left_out = printed["left_out"][str(path)]
+    assert {"factored", "sgd"} <= set(left_out)
+    assert "table entries" in left_out["factored"]
+    assert tried | set(left_out) == set(FITTED)
 
 
 def test_models_before_files(table, capsys):
