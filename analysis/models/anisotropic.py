@@ -75,6 +75,52 @@ def _steepness(
     return value, (-by_x * np.square(inverse[0]), -by_y * np.square(inverse[1]), by_axis)
 
 
+def ggx_density(geometry: Geometry, names: tuple[str, str], widths: tuple[Array, Array], axis: Array) -> Lobe:
+    """GGX distribution of two widths, normalised to a projected area of 1 (Heitz 2014, equation 85).
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Pairs of directions whose half vector is the facets' normal.
+    names : tuple of str
+        Names of the widths, by which the derivatives go; that of the axis is `AXIS`'s.
+    widths : tuple of ndarray, shape () or (channels,)
+        Widths along and across the axis.
+    axis : ndarray, shape () or (channels,)
+        Azimuth of the axis, in radians.
+
+    Returns
+    -------
+    Lobe
+        D in 1/sr, and its derivatives by both widths and the axis.
+    """
+    steepness, slopes = _steepness(geometry, widths, axis)
+    ratio = (1.0 + geometry.tan2_h) / (1.0 + steepness)
+    density = np.square(ratio) / (np.pi * widths[0] * widths[1])
+    return _with_norm(density, tuple(-2.0 * slope / (1.0 + steepness) for slope in slopes), names, widths)
+
+
+def beckmann_density(
+    geometry: Geometry, names: tuple[str, str], widths: tuple[Array, Array], axis: Array
+) -> Lobe:
+    """Beckmann's distribution of two widths (Heitz 2014, equation 80); as `ggx_density`."""
+    steepness, slopes = _steepness(geometry, widths, axis)
+    density = np.exp(-steepness) * np.square(1.0 + geometry.tan2_h) / (np.pi * widths[0] * widths[1])
+    return _with_norm(density, tuple(-slope for slope in slopes), names, widths)
+
+
+def _with_norm(
+    density: Array, relative: tuple[Array, ...], names: tuple[str, str], widths: tuple[Array, Array]
+) -> Lobe:
+    """Add what 1/(width_x width_y) does to the logarithmic derivatives."""
+    by_x, by_y, by_axis = relative
+    own = (density * (by_x - 1.0 / widths[0]), density * (by_y - 1.0 / widths[1]), density * by_axis)
+    return Lobe(density, _slope_names(names, own))
+
+
+_QUARTER = Lobe(np.asarray(0.25), {})
+
+
 def _smith(
     direction: Array, cosine: Array, names: tuple[str, str], widths: tuple[Array, Array], axis: Array
 ) -> Smith:
@@ -131,26 +177,14 @@ class GGXAnisotropic(Model):
         """F D G / (4 (N.L)(N.E)) and its derivatives by widths, axis and f0."""
         names, axis = ("alpha_x", "alpha_y"), np.asarray(self.axis_rad)
         widths = np.asarray(self.alpha_x), np.asarray(self.alpha_y)
-        steepness, slopes = _steepness(geometry, widths, axis)
-        ratio = (1.0 + geometry.tan2_h) / (1.0 + steepness)
-        density = 0.25 * np.square(ratio) / (np.pi * widths[0] * widths[1])
-        relative = tuple(-2.0 * slope / (1.0 + steepness) for slope in slopes)
         light = _smith(geometry.wi, geometry.cos_i, names, widths, axis)
         camera = _smith(geometry.wo, geometry.cos_o, names, widths, axis)
         return product(
-            _distribution(density, relative, names, widths),
+            ggx_density(geometry, names, widths, axis),
+            _QUARTER,
             correlated(geometry.cos_i, geometry.cos_o, light, camera),
             facets_schlick(geometry, self.f0),
         )
-
-
-def _distribution(
-    density: Array, relative: tuple[Array, ...], names: tuple[str, str], widths: tuple[Array, Array]
-) -> Lobe:
-    """Add what 1/(width_x width_y) does to the logarithmic derivatives."""
-    by_x, by_y, by_axis = relative
-    own = (density * (by_x - 1.0 / widths[0]), density * (by_y - 1.0 / widths[1]), density * by_axis)
-    return Lobe(density, _slope_names(names, own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +217,11 @@ class BeckmannAnisotropic(Model):
         """F D G / (4 (N.L)(N.E)) and its derivatives by widths, axis and f0."""
         names, axis = ("m_x", "m_y"), np.asarray(self.axis_rad)
         widths = np.asarray(self.m_x), np.asarray(self.m_y)
-        steepness, slopes = _steepness(geometry, widths, axis)
-        density = np.exp(-steepness) * np.square(1.0 + geometry.tan2_h)
-        density = 0.25 * density / (np.pi * widths[0] * widths[1])
         light = _smith_beckmann(geometry.wi, geometry.cos_i, names, widths, axis)
         camera = _smith_beckmann(geometry.wo, geometry.cos_o, names, widths, axis)
         return product(
-            _distribution(density, tuple(-slope for slope in slopes), names, widths),
+            beckmann_density(geometry, names, widths, axis),
+            _QUARTER,
             correlated(geometry.cos_i, geometry.cos_o, light, camera),
             facets_schlick(geometry, self.f0),
         )

@@ -1,23 +1,33 @@
-"""What all reflectance models share: parameters that describe themselves, geometry, f = kd/pi + ks * lobe."""
+"""What all reflectance models share: parameters that describe themselves, f = kd/pi + ks * lobe."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from enum import StrEnum
-from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from analysis.models.geometry import Array, Geometry
 from rig.errors import BadInput
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
-SMALLEST = 1e-150
-"""Cosines smaller than this are taken as this, so that a product of two is never zero."""
+__all__ = [
+    "KD",
+    "KS",
+    "Array",
+    "Coordinate",
+    "Geometry",
+    "Kind",
+    "Lobe",
+    "Model",
+    "OwnDiffuse",
+    "Parameter",
+    "product",
+]
 
 
 class Kind(StrEnum):
@@ -127,150 +137,6 @@ def product(*factors: Lobe) -> Lobe:
             merged[name] = merged[name] + own if name in merged else own
         value, slopes = value * factor.value, merged
     return Lobe(value, slopes)
-
-
-class Geometry:
-    """Pairs of directions and what the lobes need of them, each computed once, when first asked for.
-
-    Pairs that are not lit and seen from above (or hold a NaN) are replaced by the normal, so that no formula
-    meets an undefined value; `finish` puts zero and NaN back.
-
-    Parameters
-    ----------
-    wi, wo : array_like, shape (..., 3)
-        Unit directions to the light and to the camera, in the sample frame; leading dimensions broadcast.
-
-    Raises
-    ------
-    BadInput
-        If the last axis is not of length 3.
-    """
-
-    def __init__(self, wi: ArrayLike, wo: ArrayLike) -> None:
-        light, camera = np.asarray(wi, dtype=np.float64), np.asarray(wo, dtype=np.float64)
-        for name, direction in (("wi", light), ("wo", camera)):
-            if direction.ndim == 0 or direction.shape[-1] != 3:
-                raise BadInput(
-                    f"directions need a last axis of length 3, not shape {direction.shape}",
-                    where=name,
-                    todo="pass an array of shape (N, 3)",
-                )
-        light, camera = np.broadcast_arrays(light, camera)
-        self.finite: Mask = np.asarray(np.isfinite(light + camera).all(axis=-1))
-        self.visible: Mask = self.finite & (light[..., 2] > 0.0) & (camera[..., 2] > 0.0)
-        up = np.array([0.0, 0.0, 1.0])
-        self.wi: Array = np.where(self.visible[..., None], light, up)
-        self.wo: Array = np.where(self.visible[..., None], camera, up)
-
-    @cached_property
-    def cos_i(self) -> Array:
-        """N.L, shape (..., 1), at least `SMALLEST`."""
-        return np.maximum(self.wi[..., 2:], SMALLEST)
-
-    @cached_property
-    def cos_o(self) -> Array:
-        """N.E, shape (..., 1), at least `SMALLEST`."""
-        return np.maximum(self.wo[..., 2:], SMALLEST)
-
-    @cached_property
-    def sin2_i(self) -> Array:
-        """Squared sine of the light's angle, from components, shape (..., 1)."""
-        return np.square(self.wi[..., 0:1]) + np.square(self.wi[..., 1:2])
-
-    @cached_property
-    def sin2_o(self) -> Array:
-        """Squared sine of the camera's angle, from components, shape (..., 1)."""
-        return np.square(self.wo[..., 0:1]) + np.square(self.wo[..., 1:2])
-
-    @cached_property
-    def tangential_dot(self) -> Array:
-        """sin(theta_i) sin(theta_o) cos(phi_i - phi_o): the dot product in the surface, shape (..., 1)."""
-        return np.asarray(np.sum(self.wi[..., :2] * self.wo[..., :2], axis=-1, keepdims=True))
-
-    @cached_property
-    def sin2_d(self) -> Array:
-        """Squared sine of the angle between E (or L) and H: a quarter of |L - E|^2, shape (..., 1)."""
-        return np.asarray(0.25 * np.sum(np.square(self.wi - self.wo), axis=-1, keepdims=True))
-
-    @cached_property
-    def tangents(self) -> tuple[Array, Array]:
-        """Slopes H_x / H_z and H_y / H_z of the facet that mirrors, each (..., 1); capped as `tan2_h` is."""
-        x, y = (np.clip(self.half[..., i : i + 1] / self.half[..., 2:3], -1e70, 1e70) for i in (0, 1))
-        return x, y
-
-    @cached_property
-    def retro(self) -> Geometry:
-        """The same pairs with the camera mirrored about the normal: there H is N where E is L."""
-        return Geometry(self.wi, self.wo * np.array([-1.0, -1.0, 1.0]))
-
-    @cached_property
-    def half(self) -> Array:
-        """L + E, not normalised, shape (..., 3)."""
-        return self.wi + self.wo
-
-    @cached_property
-    def tan2_h(self) -> Array:
-        """Squared tangent of the half vector's angle to the normal, shape (..., 1).
-
-        From components and not from 1 - cos^2, which has no correct digit left near the normal. Capped far
-        beyond the last angle at which any lobe is above zero.
-        """
-        x, y, z = self.half[..., 0:1], self.half[..., 1:2], self.half[..., 2:3]
-        return np.square(np.minimum(np.hypot(x, y) / z, 1e70))
-
-    @cached_property
-    def cos_h(self) -> Array:
-        """N.H, shape (..., 1)."""
-        return self.half[..., 2:] / self.half_length
-
-    @cached_property
-    def half_length(self) -> Array:
-        """|L + E|, shape (..., 1), at least `SMALLEST`."""
-        tangential = np.hypot(self.half[..., 0:1], self.half[..., 1:2])
-        return np.maximum(np.hypot(tangential, self.half[..., 2:3]), SMALLEST)
-
-    @cached_property
-    def cos_d(self) -> Array:
-        """E.H = L.H, shape (..., 1): half the length of L + E, which does not cancel where E is near -L."""
-        return 0.5 * self.half_length
-
-    @cached_property
-    def log_mirror(self) -> Array:
-        """Natural logarithm of R.E (R the mirror direction of L), -inf where R.E <= 0, shape (..., 1)."""
-        high, low = _dot_twice(self.wi * np.array([-1.0, -1.0, 1.0]), self.wo)
-        lit = high + low > 0.0
-        safe = np.where(lit, high, 1.0)
-        # log(high + low): the second word matters because a large exponent multiplies this logarithm.
-        return np.where(lit, np.log(safe) + np.where(lit, low, 0.0) / safe, -np.inf)[..., None]
-
-    def finish(self, values: Array) -> Array:
-        """Put 0 below the horizon and NaN where a direction was not finite; shape (..., channels)."""
-        return np.where(self.visible[..., None], values, np.where(self.finite[..., None], 0.0, np.nan))
-
-
-_SPLITTER = 134217729.0  # 2**27 + 1
-
-
-def _product_twice(a: Array, b: Array) -> tuple[Array, Array]:
-    """Exact product as a sum of two doubles (Dekker 1971)."""
-    product = a * b
-    a_high = _SPLITTER * a - (_SPLITTER * a - a)
-    b_high = _SPLITTER * b - (_SPLITTER * b - b)
-    a_low, b_low = a - a_high, b - b_high
-    return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
-
-
-def _dot_twice(a: Array, b: Array) -> tuple[Array, Array]:
-    """Dot product over the last axis as a sum of two doubles (Ogita, Rump & Oishi 2005, algorithm Dot2)."""
-    total, error = _product_twice(a[..., 0], b[..., 0])
-    for axis in (1, 2):
-        product, product_error = _product_twice(a[..., axis], b[..., axis])
-        summed = total + product
-        rest = summed - total
-        error = error + ((total - (summed - rest)) + (product - rest)) + product_error
-        total = summed
-    high = total + error
-    return high, error - (high - total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,9 +295,9 @@ class OwnDiffuse(Model):
             Always.
         """
         raise BadInput(
-            "has a diffuse term of its own, which the fit does not know",
+            "has a diffuse term of its own",
             where=self.NAME,
-            todo="fit a model with Lambert's term",
+            todo="use terms_at",
         )
 
     @abstractmethod

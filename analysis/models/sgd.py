@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from analysis.models.base import KD, KS, Coordinate, Geometry, Kind, Lobe, Model, Parameter, product
-from analysis.models.fresnel import schlick_with_slope
 from analysis.models.ggx import F0
 
 if TYPE_CHECKING:
@@ -106,9 +105,13 @@ class SGD(Model):
         return Lobe(value, {"alpha": value * by_alpha, "p": -value * shifted})
 
     def _reflectance(self, geometry: Geometry) -> Lobe:
-        value, slope = schlick_with_slope(geometry.cos_d, geometry.sin2_d, self.f0)
-        straight = geometry.cos_d + np.zeros_like(np.asarray(self.f1))
-        return Lobe(value - np.asarray(self.f1) * straight, {"f0": slope, "f1": -straight})
+        f0, f1 = np.asarray(self.f0), np.asarray(self.f1)
+        # f0 - f1 cos_d, where both are close: with 1 - cos_d, which keeps its digits near normal incidence.
+        drop = geometry.sin2_d / (1.0 + geometry.cos_d)
+        rise = drop**5
+        straight = geometry.cos_d + np.zeros_like(f1)
+        value = (f0 - f1) + f1 * drop + (1.0 - f0) * rise
+        return Lobe(value, {"f0": 1.0 - rise + np.zeros_like(f0), "f1": -straight})
 
     def _masking(self, theta: Array) -> Lobe:
         k, lam, c = np.asarray(self.k), np.asarray(self.lam), np.asarray(self.c)
