@@ -33,11 +33,13 @@ Array = NDArray[np.float64]
 MOST_SAMPLES = 1500
 INDEPENDENT = 100.0
 """Samples that the evidence counts as independent, at most: neighbours share what no model describes."""
-LOBE_INDEPENDENT = 30.0
+LOBE_INDEPENDENT = 40.0
 """The same for the deviation from the best lobe, which is broader."""
-CLEAR_NOISE = 0.25
+LOBE_KNOWN = 0.2
+"""RMS about the best lobe below which no reading is better for it: no surface follows a formula so far."""
+CLEAR_NOISE = 0.18
 """RMS of what is neither lobe nor smooth beyond which the odds shrink with its square: no apt model."""
-DECIDED = float(np.log(100.0))
+DECIDED = float(np.log(1000.0))
 """Logarithm of the odds at which the evidence decides."""
 FEWEST = 20
 MOST_IMPOSSIBLE, ALLOWED_IMPOSSIBLE, PER_IMPOSSIBLE = 0.3, 0.02, 600.0
@@ -211,7 +213,7 @@ def _weigh(same: Sequence[Reading], table: AngleTable, weights: Array) -> Ranked
     compared = read.rows(use)
     found = evidence(compared, weights[use])
     log = min(INDEPENDENT, float(len(weights))) * found.total
-    log -= LOBE_INDEPENDENT * float(np.log(max(found.lobe_rms, 1e-6)))
+    log -= LOBE_INDEPENDENT * float(np.log(np.hypot(found.lobe_rms, LOBE_KNOWN)))
     log -= PER_IMPOSSIBLE * max(1.0 - share - ALLOWED_IMPOSSIBLE, 0.0)
     log -= NARROW_COST if largest.max() < NARROW else 0.0
     log += FAVOUR[len(same[0].steps)] + max(sum(RARE.get(step, 0.0) for step in r.steps) for r in same)

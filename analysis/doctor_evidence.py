@@ -3,11 +3,11 @@
 A surface's BRDF is reciprocal, mostly the same on both sides of the plane of incidence, smooth, and has its
 peak, where it has one, at the mirror direction. So ln f is taken as
 
-    ln f = ln(kd / pi + ks G(alpha)) + s(theta_h, theta_d, cos 2 phi_d) + noise,
+    ln f = ln(kd / pi + ks G) + s(theta_h, theta_d, cos 2 phi_d) + noise,
 
-with G the GGX lobe, chosen from a list, and s a Gaussian process of angles that do not change when light and
-view are exchanged or mirrored (Rusinkiewicz 1998). What is not reciprocal, symmetric or smooth goes into the
-noise; a lobe in the wrong place has to be made up for by s. The evidence is the process's marginal likelihood
+with G a lobe of facets, chosen from a list, and s a Gaussian process of angles that do not change when light
+and view are exchanged or mirrored (Rusinkiewicz 1998). What is not reciprocal, symmetric or smooth goes into
+the noise; a lobe in the wrong place has to be made up for by s. The evidence is the process's marginal likelihood
 (Rasmussen & Williams 2006, equation 2.30) with the noise's size profiled and few centres in place of all
 samples (their section 8.3.2). A factor on the values is a shift of ln f, so that readings with and without a
 cosine compare.
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+LOBES_OF = (("ggx", "alpha"), ("cook-torrance-schlick", "m"))
+"""Families of lobes: long tails and short ones, each with the name of its width."""
 ALPHAS = (0.008, 0.02, 0.05, 0.1, 0.2, 0.35, 0.6)
 FRESNEL = (0.04, 0.5)
 RATIOS = tuple(10.0 ** np.arange(-2.0, 3.1, 0.5))
@@ -98,10 +100,11 @@ def _lobes(wi: Array, wo: Array) -> Array:
     """Logarithms of Lambert and lobes (N, M) over the list of widths, reflectances and strengths."""
     geometry = Geometry(wi, wo)
     columns = [np.zeros(len(wi))]
-    for alpha in ALPHAS:
-        for f0 in FRESNEL:
-            lobe = MODELS["ggx"](alpha=alpha, f0=f0).basis_at(geometry)["ks"][:, 0]
-            columns += [np.log(1.0 / np.pi + ratio * lobe) for ratio in RATIOS]
+    for model, width in LOBES_OF:
+        for alpha in ALPHAS:
+            for f0 in FRESNEL:
+                lobe = MODELS[model](**{width: alpha, "f0": f0}).basis_at(geometry)["ks"][:, 0]
+                columns += [np.log(1.0 / np.pi + ratio * lobe) for ratio in RATIOS]
     return np.stack(columns, axis=1)
 
 

@@ -33,6 +33,8 @@ class Usable(NamedTuple):
     phi_i: Array
     turn: Array
     """Azimuth of view less that of the light, in (-pi, pi]."""
+    row: Indices
+    """Number of each sample in its file."""
 
 
 class Pairs(NamedTuple):
@@ -47,13 +49,17 @@ def usable_samples(samples: xr.Dataset) -> Usable:
     """Return the samples without flags whose values are all finite."""
     keep = (samples["flags"].to_numpy() == 0).all(axis=1) & np.isfinite(samples["f_r"].to_numpy()).all(axis=1)
     wi, wo, f_r = (samples[name].to_numpy()[keep] for name in ("wi", "wo", "f_r"))
-    return usable_from(wi, wo, f_r, samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None)
+    u = samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None
+    return usable_from(wi, wo, f_r, u, np.flatnonzero(keep))
 
 
-def usable_from(wi: Array, wo: Array, f_r: Array, u: Array | None = None) -> Usable:
+def usable_from(
+    wi: Array, wo: Array, f_r: Array, u: Array | None = None, row: Indices | None = None
+) -> Usable:
     """Return samples, all of them usable, with their angles."""
     (theta_i, phi_i), (theta_o, phi_o) = direction_to_spherical(wi), direction_to_spherical(wo)
-    return Usable(wi, wo, f_r, u, theta_i, theta_o, phi_i, np.asarray(wrap(phi_o - phi_i)))
+    row = np.arange(len(wi)) if row is None else row
+    return Usable(wi, wo, f_r, u, theta_i, theta_o, phi_i, np.asarray(wrap(phi_o - phi_i)), row)
 
 
 def relative_difference(a: Array, b: Array) -> Array:

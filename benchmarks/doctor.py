@@ -1,0 +1,151 @@
+"""The convention doctor against files that were corrupted on purpose: how often right, wrong, undecided.
+
+A file of another laboratory, or a synthetic surface with noise, is taken as right. A random mistake of
+convention, at times two, is made in its angles or values, samples are left out and noise is added; the doctor
+is asked which reading undoes the mistake. It is right if it decides for that reading, or for one that gives
+the same samples up to reciprocity and symmetry.
+"""
+
+from __future__ import annotations
+
+import collections
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.angle_table import AngleTable, table_of
+from analysis.doctor import SAME, Diagnosis, diagnose, signature_of
+from analysis.doctor_readings import COSINES, INVERSE, Reading, Step
+from analysis.models import MODELS
+from analysis.samples import make_samples, read
+from rig.angles import spherical_to_direction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    import xarray as xr
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+SEEDS = 200
+RIGHT_BAR, WRONG_BAR = 0.95, 0.01
+TWO_MISTAKES = 0.15
+FEWEST_KEPT = 600
+MATERIALS = ("Alu sandgestrahlt", "Edelstahl gebürstet", "Kupfer", "Referenzlack (Rau)")
+SYNTHETIC = {
+    "ggx": {"kd": 0.3, "ks": 1.0, "alpha": 0.25, "f0": 0.05},
+    "cook-torrance-schlick": {"kd": 0.05, "ks": 0.8, "m": 0.35, "f0": 0.6},
+    "ward-duer": {"kd": 0.5, "ks": 0.1, "alpha": 0.15},
+    "oren-nayar": {"kd": 0.6, "sigma_rad": 0.4},
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One corruption and what the doctor said."""
+
+    source: str
+    mistake: Reading
+    verdict: str
+    named: str
+
+
+def sources() -> dict[str, Callable[[], xr.Dataset]]:
+    """Return how to read each file, and how to make each synthetic surface."""
+    made: dict[str, Callable[[], xr.Dataset]] = {
+        name: lambda name=name: synthetic(name) for name in SYNTHETIC
+    }
+    for path in sorted(DATA.glob("merl-standins/*.npz")) + sorted(DATA.glob("cornell/*.brdf")):
+        made[path.stem] = lambda path=path: read(path)
+    for path in sorted(DATA.glob("rgl/*.bsdf")) + sorted(DATA.glob("starlink/chassis*.csv")):
+        made[path.stem] = lambda path=path: read(path)
+    raw = DATA / "rt300s" / "raw"
+    for path in (*sorted(raw.glob("*EC1*.xls")), *sorted(raw.glob("NiTE*.xls"))):
+        made[path.stem] = lambda path=path: read(path, blank=raw / "blank_v2o0_20250911.xls")
+    for material in MATERIALS if (DATA / "mwir").is_dir() else ():
+        made[material] = lambda name=material: read(DATA / "mwir" / "radiance.csv", material=name)
+    return made
+
+
+def synthetic(name: str) -> xr.Dataset:
+    """Return a model on a grid that nobody chose for it: a few incidences, views over the hemisphere."""
+    theta_i, theta_o, phi = np.meshgrid(
+        np.radians([7.0, 25.0, 45.0, 60.0, 72.0]),
+        np.radians(np.arange(4.0, 81.0, 7.0)),
+        np.arange(0, 6.2, 0.3),
+    )
+    wi = spherical_to_direction(theta_i.ravel(), np.full(theta_i.size, 2.0))
+    wo = spherical_to_direction(theta_o.ravel(), phi.ravel())
+    return make_samples(wi, wo, MODELS[name](**SYNTHETIC[name]).evaluate(wi, wo)[:, :1])
+
+
+@cache
+def _table(name: str) -> AngleTable:
+    samples = sources()[name]()
+    usable = (samples["flags"].to_numpy() == 0).all(axis=1)
+    return table_of(samples).rows(usable)
+
+
+def undone(mistake: Reading) -> Reading:
+    """Return the reading that makes a mistake, which `mistake` then undoes."""
+    return Reading(tuple(INVERSE.get(step, step) for step in reversed(mistake.steps)))
+
+
+def corrupted(name: str, random: np.random.Generator) -> tuple[AngleTable, Reading]:
+    """Return a file's samples with a mistake, and the reading that undoes it."""
+    table = _table(name)
+    share = max(random.uniform(0.5, 1.0), FEWEST_KEPT / len(table.f_r))
+    table = table.rows((random.random(len(table.f_r)) < share) & table.possible())
+    noise = random.uniform(0.0, 0.03) * random.standard_normal(table.f_r.shape)
+    table = replace(table, f_r=table.f_r * np.exp(noise))
+    steps = [Step(random.choice([step.value for step in Step]))]
+    if steps[0] not in COSINES and random.random() < TWO_MISTAKES:
+        steps.append(Step(random.choice([Step.WITH_COS_O.value, Step.OVER_COS_O.value])))
+    mistake = Reading(tuple(steps))
+    return undone(mistake).apply(table), mistake
+
+
+def trial(seed: int) -> Trial:
+    """Corrupt a random file and ask the doctor."""
+    random = np.random.default_rng(seed)
+    name = str(random.choice(sorted(sources())))
+    table, mistake = corrupted(name, random)
+    found = diagnose(table)
+    return Trial(
+        name, mistake, _verdict(found, table, mistake), found.ranked[0].reading.name if found.ranked else ""
+    )
+
+
+def _verdict(found: Diagnosis, table: AngleTable, mistake: Reading) -> str:
+    if not found.decided:
+        return "undecided"
+    named, true = (
+        signature_of(replace(read, f_r=read.f_r[:, :1]))
+        for read in (found.ranked[0].reading.apply(table), mistake.apply(table))
+    )
+    return "right" if np.max(np.abs(named - true)) < SAME else "wrong"
+
+
+def rates(trials: Iterable[Trial]) -> dict[str, float]:
+    """Return the shares of right, wrong and undecided."""
+    counts = collections.Counter(each.verdict for each in trials)
+    total = sum(counts.values())
+    return {verdict: counts[verdict] / total for verdict in ("right", "wrong", "undecided")}
+
+
+def run(plots: Path | None) -> list[dict[str, Any]]:  # noqa: ARG001 - a part's interface; there is nothing to draw
+    """Study 200 seeds: rows of name, value, unit, target and ok, as `gonio bench` takes them."""
+    found = rates(trial(seed) for seed in range(SEEDS))
+    bars = {"right": RIGHT_BAR, "wrong": WRONG_BAR, "undecided": None}
+    return [
+        {
+            "name": f"{SEEDS} corruptions: {verdict}",
+            "value": 100.0 * found[verdict],
+            "unit": "%",
+            "target": None if bar is None else 100.0 * bar,
+            "ok": bar is None or (found[verdict] >= bar if verdict == "right" else found[verdict] <= bar),
+        }
+        for verdict, bar in bars.items()
+    ]
