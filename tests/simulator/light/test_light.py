@@ -11,7 +11,6 @@ from rig.description import Camera, Rig, default_rig
 from rig.errors import BadInput, Refused
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
-from simulator import bsdfs
 from simulator.light.choice import ABILITIES, Method, SceneFacts, choose_method
 from simulator.light.path_tracer import PathLight
 from simulator.light.paths import LightPaths
@@ -20,7 +19,7 @@ from simulator.light.pixelwise import PixelwiseLight
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.light.renderer import Renderer
 from simulator.materials import ClosedFormMaterial, parse_material
-from simulator.variant import LLVM, choose_variant, load_mitsuba
+from simulator.variant import LLVM, choose_variant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,24 +36,6 @@ POSES = [(0.4, 0.3, -0.5, 0.2), (1.1, 2.0, 1.0, -1.0), (-1.3, 0.0, 1.2, 3.0)]
 OFF_CENTRE = Camera(width_px=64, height_px=48, focal_length_px=600.0, principal_point_px=(29.5, 25.5))
 RIG = default_rig(camera=OFF_CENTRE)
 DISTORTED = default_rig(camera=OFF_CENTRE.model_copy(update={"distortion": (-0.3, 0.1, 0.002, -0.001, 0.0)}))
-
-
-@pytest.fixture
-def vector() -> Any:
-    """Mitsuba in its LLVM variant, our BSDFs registered."""
-    if choose_variant().variant != LLVM:
-        pytest.skip("no LLVM >= 19 on this machine")
-    mi = load_mitsuba("llvm")
-    bsdfs.register(mi)
-    return mi
-
-
-@pytest.fixture
-def scalar() -> Any:
-    """Mitsuba in its scalar variant, our BSDFs registered."""
-    mi = load_mitsuba("scalar")
-    bsdfs.register(mi)
-    return mi
 
 
 def closed_form(spec: str) -> ClosedFormMaterial:
