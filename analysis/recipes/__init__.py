@@ -40,7 +40,11 @@ class Reduced(NamedTuple):
 
 
 def reduce_files(
-    files: Sequence[str | Path], recipe: Recipe | str, *, blank: str | Path | None = None
+    files: Sequence[str | Path],
+    recipe: Recipe | str,
+    *,
+    blank: str | Path | None = None,
+    material: str | None = None,
 ) -> Reduced:
     """Reduce raw files of one sample with a recipe.
 
@@ -52,6 +56,8 @@ def reduce_files(
         A recipe, the name of one that ships, or the path of its file.
     blank : path, optional
         The measurement without a sample.
+    material : str, optional
+        Which one, of a table that holds several.
 
     Raises
     ------
@@ -59,7 +65,7 @@ def reduce_files(
         If a file cannot be read, is not what the recipe reads, or a step cannot be done.
     """
     chosen = load(recipe) if isinstance(recipe, str) else recipe
-    parts = [read_readings(Path(file), only=chosen.reads) for file in files]
+    parts = [read_readings(Path(file), only=chosen.reads, material=material) for file in files]
     if not parts:
         raise BadInput("no file to reduce", where="recipe", todo="name at least one")
     empty = None if blank is None else read_readings(Path(blank), only=chosen.reads)

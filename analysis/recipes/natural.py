@@ -54,7 +54,8 @@ def natural_weights(points: Array, places: Array) -> csr_array:
     from scipy.sparse import csr_array, vstack
     from scipy.spatial import Delaunay, QhullError
 
-    tolerance = SAME_PLACE * max(float(np.ptp(points, axis=0).max(initial=0.0)), 1e-300)
+    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    tolerance = SAME_PLACE * max(extent, np.finfo(float).tiny / SAME_PLACE)
     distinct, member = _distinct(points, tolerance)
     try:
         mesh = Delaunay(distinct)

@@ -201,8 +201,8 @@ def make_readings(
     )
 
 
-def read_readings(path: Path, *, only: str = "") -> Readings:
-    """Read a raw file: an RT-300S export as its instrument wrote it, any other format by its values.
+def read_readings(path: Path, *, only: str = "", **options: Any) -> Readings:
+    """Read a raw file: as its instrument wrote it where the format has that, else by its samples' values.
 
     Parameters
     ----------
@@ -210,24 +210,29 @@ def read_readings(path: Path, *, only: str = "") -> Readings:
         The file.
     only : str
         Name of the one format that it may be; empty: any.
+    **options
+        What its format offers beside, as in `analysis.samples.read`.
 
     Raises
     ------
     BadInput
         If the file is missing, damaged, of no known format, or not of the only one allowed.
     """
-    from analysis.formats import rt300s
+    from analysis.formats import recognise
 
-    if path.is_file():
-        with path.open("rb") as stream:
-            head = stream.read(len(rt300s.MAGIC))
-        if rt300s.sniff(head):
-            return rt300s.as_readings(path)
-        if only:
-            raise BadInput(
-                f"is no {only}, which the recipe is for", where=str(path), todo="choose another recipe"
-            )
-    samples = read_samples(path)
+    module = recognise(path)
+    if only not in {"", module.NAME}:
+        raise BadInput(
+            f"is {module.NAME}, and the recipe is for {only}", where=str(path), todo="choose another recipe"
+        )
+    as_readings = getattr(module, "as_readings", None)
+    given = [name for name, value in options.items() if value is not None]
+    if as_readings is not None and given:
+        raise BadInput(f"{given[0]} means nothing to {module.NAME}", where=str(path), todo="leave it out")
+    if as_readings is not None:
+        readings: Readings = as_readings(path)
+        return readings
+    samples = read_samples(path, **options)
     value = samples["f_r"].to_numpy()
     flags = np.where(samples["flags"].to_numpy() == 0, 0, int(Flag.AS_READ))
     u_all = samples["u_f_r"].to_numpy() if "u_f_r" in samples else np.zeros(value.shape)

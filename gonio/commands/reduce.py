@@ -10,6 +10,7 @@ averages them, their repeatability is told, and no uncertainty is stated below i
   rt300s         every direction of an RT-300S scan, negatives kept
   rt300s-fred    the published FRED tables (legacy: floor shifted to zero)
   rt300s-zemax   the published Zemax tables (legacy: floor shifted to zero)
+  mwir-published the published formula of the mid-infrared tables, with the cosine that should not be there
 
 The JSON object: session, out, poses, samples, channels, dropped: {reason: values}, pixels: {flag: pixels};
 with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability, notes, loss
@@ -57,6 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--recipe", metavar="NAME|FILE", help="reduce raw files by the steps of a recipe")
     parser.add_argument("--blank", metavar="FILE", help="recipe: the measurement without a sample")
+    parser.add_argument("--material", metavar="NAME", help="recipe: which of several in an in-plane table")
     parser.add_argument(
         "--out",
         "-o",
@@ -70,10 +72,11 @@ def run(options: argparse.Namespace) -> int:
     """Reduce, write, and say what was kept and what was not."""
     if options.recipe is not None:
         return _by_recipe(options)
-    if options.blank is not None:
-        raise BadInput(
-            "a session has darks of its own", where="--blank", todo="give --recipe, or leave it out"
-        )
+    for name in ("blank", "material"):
+        if getattr(options, name) is not None:
+            raise BadInput(
+                "means nothing to a session", where=f"--{name}", todo="leave it out, or give --recipe"
+            )
     if len(options.inputs) > 1:
         raise BadInput(
             "one session at a time", where=options.inputs[1], todo="for files of a sample give --recipe"
@@ -99,7 +102,7 @@ def _by_recipe(options: argparse.Namespace) -> int:
     out = Path(options.out)
     require_writer(out)  # before the work, not after it
     recipe = load(options.recipe)
-    reduced = reduce_files(options.inputs, recipe, blank=options.blank)
+    reduced = reduce_files(options.inputs, recipe, blank=options.blank, material=options.material)
     loss = write(reduced.samples, out)
     flagged = int((reduced.samples["flags"].to_numpy() != 0).sum())
     result = {
