@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def join(tables: Sequence[xr.Dataset], names: Sequence[str]) -> Joined:
         _require_same_channels(first, table, name)
     known = [name for name in UNITS if any(name in table for table in tables)]
     kept = [name for name in known if all(name in table for table in tables) and name not in WITHIN_FILE]
-    columns = {name: np.concatenate(_apart(name, tables)) for name in kept}
+    columns: dict[str, Any] = {name: np.concatenate(_apart(name, tables)) for name in kept}
     wi, wo, f_r = (columns.pop(name) for name in ("wi", "wo", "f_r"))
     samples = make_samples(
         wi,

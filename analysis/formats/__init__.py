@@ -30,6 +30,7 @@ NAMES = (
     "pab",
     "klems",
     "rt300s",
+    "rt300s_text",
     "npz",
     "inplane",
     "csv",

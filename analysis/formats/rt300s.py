@@ -6,9 +6,8 @@ a reflectance relative to the perfect diffuser times the cosine of view: f_r = (
 cos(theta_r)).
 
 Directions: +x of the sample frame is the detector's side of positive angles; the mirror direction lies at
-azimuth
--90 and receive > 0. In which sense the laser's azimuth runs is not in the file and does not matter to an
-isotropic sample: it is taken as counter-clockwise.
+azimuth -90 and receive > 0. In which sense the laser's azimuth runs is not in the file and does not matter to
+an isotropic sample: it is taken as counter-clockwise.
 """
 
 from __future__ import annotations
@@ -84,6 +83,15 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
     BadInput
         If a file is damaged or no such export, or the blank lacks an angle.
     """
+    source = path.name if blank is None else f"{path.name} less {Path(blank).name}"
+    empty = None if blank is None else as_readings(Path(blank))
+    return reduced(as_readings(path), source, blank=empty, floor_shift=floor_shift)
+
+
+def reduced(
+    readings: Readings, source: str, *, blank: Readings | None = None, floor_shift: bool = False
+) -> xr.Dataset:
+    """Bring readings to samples, each by itself; see `read`."""
     from analysis.recipes.steps import Blank, Cosine, FloorShift, Given, Reference, ShadowCut, Step
 
     steps: list[Step] = [Blank(name="blank")] if blank is not None else []
@@ -93,8 +101,7 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
         Reference(name="reference"),
         Cosine(name="cosine"),
     ]
-    readings = as_readings(path)
-    given = Given(blank=None if blank is None else as_readings(Path(blank)))
+    given = Given(blank=blank)
     for step in steps:
         readings = step.apply(readings, given)
     return make_samples(
@@ -103,7 +110,7 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
         readings.value,
         channels=readings.channels,
         flags=readings.flags,
-        source=path.name if blank is None else f"{path.name} less {Path(blank).name}",
+        source=source,
     )
 
 
@@ -115,9 +122,13 @@ def as_readings(path: Path) -> Readings:
     BadInput
         As `read_readings`.
     """
+    return readings_of(read_readings(path), path.name)
+
+
+def readings_of(export: Export, name: str) -> Readings:
+    """Bring the instrument's angles to those of light and detector."""
     from analysis.recipes.readings import make_readings
 
-    export = read_readings(path)
     incidence, azimuth, receive = np.radians(export.angles_deg).T
     angles = (
         np.abs(incidence),
@@ -125,7 +136,7 @@ def as_readings(path: Path) -> Readings:
         np.abs(receive),
         np.where(receive < 0.0, np.pi, 0.0),
     )
-    return make_readings(angles, export.value[:, None], channels=["RT"], name=path.name)
+    return make_readings(angles, export.value[:, None], channels=["RT"], name=name)
 
 
 def read_readings(path: Path) -> Export:

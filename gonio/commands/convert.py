@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from analysis.formats.loss import Loss
 
-EXAMPLE = "gonio convert garnet_red.brdf garnet_red.bsdf --wavelength-nm 450 550 650 --fill"
+EXAMPLE = "gonio convert garnet_red.brdf garnet_red.zemax.bsdf --wavelength-nm 550 --fill"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="samples to convert")
     parser.add_argument("out", metavar="OUT", help="file to write; for --to pab a folder too")
     parser.add_argument(
-        "--to", default="", metavar="FORMAT", help="netcdf, csv, rgl, merl, pab, zemax, astm or ssdd"
+        "--to", default="", metavar="FORMAT", help="netcdf, csv, rgl, merl, pab, zemax, astm, ssdd or fred"
     )
     parser.add_argument("--wavelength-nm", nargs="+", type=float, metavar="W", help="only these channels")
     parser.add_argument("--max-theta-deg", type=float, metavar="T", help="leave out larger angles")

@@ -28,7 +28,21 @@ FEW, MANY = 60, 1000
 TOO_LONG_S = 30.0
 """A reader that has not answered by then hangs; on a quiet machine an answer takes less than 2 s."""
 
-TEXTS = ("cornell", "alta", "fred", "radiance", "chassis", "zemax", "klems", "csv", "astm", "ssdd", "pab")
+EXPORTS = ("jdv", "raywiz", "lighttools", "speos")
+TEXTS = (
+    "cornell",
+    "alta",
+    "fred",
+    "radiance",
+    "chassis",
+    "zemax",
+    "klems",
+    "csv",
+    "astm",
+    "ssdd",
+    "pab",
+    *EXPORTS,
+)
 BINARIES = ("netcdf", "npz", "rgl")
 SMALL = (*TEXTS, *BINARIES)
 

@@ -56,6 +56,30 @@ KLEMS = (
     + "".join(", ".join(f"0.{row}{column}" for column in range(1, 9)) + ",\n" for row in range(1, 9))
     + "</ScatteringData></WavelengthDataBlock></WavelengthData></Layer></Optical>\n</WindowElement>\n"
 )
+JDV = "".join(
+    f"DataType:\tBRDF(RT-300S)\t \t\nSampleID:\tS\t\nIncidence:\t{i}\t \t\nPolar:\t-40,40,40\t \t\n"
+    f"Azimuth:\t-90,-80,10\t \t\n\t\t\t\nRaw data\t\t\t\n\t-40\t0\t40\n-90\t1.{i}\t2.5\t3.5\n"
+    f"-80\t4.5\t5.{i}\t6.5\n\t\t\t\n\t\t\t\n"
+    for i in (0, 30, 60)
+)
+RAYWIZ = "".join(
+    "DataType:\tBRDF(Raywiz)\t \t\nSampleID:\tS\t \t\nDate:\t7/12/2011\t\t\n1\t1\t2\t\n-90\t-80\t-40\t40\n"
+    f"{i}\t\t\t\n1.{i}\t4.5\t\t\n2.5\t5.{i}\t\t\n3.5\t6.5\t\t\n\t\t\t\n"
+    for i in (0, 30, 60)
+)
+LIGHTTOOLS = "".join(
+    "Name / Comment :\tS\t \nData file type :\tIntensity BRDF\t\nTheta measure beginning :\t-40\t \n"
+    "Theta measure end :\t40\t \nTheta measure step :\t40\t \nPhi measure beginning :\t-90\t \n"
+    f"Phi measure end :\t-80\t \nPhi measure step :\t10\t \nTheta Lighting\t{i}\t\n"
+    f"-40\t1.{i}\t4.5\n0\t2.5\t5.{i}\n40\t3.5\t6.5\n\t\t\n"
+    for i in (0, 30, 60)
+)
+SPEOS = "".join(
+    f"OPTIS - Anisotropic BSDF surface file v1.0\t\t\t\nSampleID:\tSample {i}\t \t\n0 1 0\t\t\t\n"
+    "Reflection Spectrum\t\t\t\n2\t\t\t\n100 50\t\t\t\n1000 50\t\t\t\n\t-90\t-80\t\n"
+    f"-40\t1.{i}\t4.5\t\n0\t2.5\t5.{i}\t\n40\t3.5\t6.5\t\n\t\t\t\n"
+    for i in (0, 30, 60)
+)
 
 
 @dataclass(frozen=True)
@@ -86,13 +110,17 @@ class Whole:
 def make_whole_files(folder: Path) -> dict[str, Whole]:
     """Write one file of each format into a folder, under names that say nothing to a reader."""
     texts = {
-        "cornell": (CORNELL, "cornell", None, True),
+        "cornell": (CORNELL, "cornell", None, False),
         "alta": (ALTA, "alta", None, False),
         "fred": (FRED, "fred", None, False),
         "radiance": (RADIANCE, "inplane", b",", False),
         "chassis": (CHASSIS, "inplane", None, False),
         "zemax": (ZEMAX, "zemax", None, True),
         "klems": (KLEMS, "klems", None, True),
+        "jdv": (JDV, "rt300s_text", None, False),
+        "raywiz": (RAYWIZ, "rt300s_text", None, False),
+        "lighttools": (LIGHTTOOLS, "rt300s_text", None, False),
+        "speos": (SPEOS, "rt300s_text", None, False),
     }
     files = {}
     for name, (text, module, separator, counted) in texts.items():

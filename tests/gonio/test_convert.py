@@ -69,10 +69,10 @@ def test_a_change_that_the_writer_does_not_know_is_told(folder, capsys, monkeypa
 
 def test_holes_are_not_filled_unless_that_is_asked_for(folder, capsys):
     """Catches guesses written as measurements, and half of a file left behind by the refusal."""
-    assert main(["convert", "paint.nc", "out.bsdf"]) == 3
+    assert main(["convert", "paint.nc", "out.zemax.bsdf"]) == 3
     assert "--fill" in capsys.readouterr().err
     assert [path.name for path in folder.iterdir()] == ["paint.nc"]
-    told = _json(capsys, "paint.nc", "out.bsdf", "--fill")
+    told = _json(capsys, "paint.nc", "out.zemax.bsdf", "--fill")
     assert 0.0 < told["loss"]["filled_part"] < 1.0
     assert told["loss"]["worst_relative"] > 0.0
 
