@@ -22,18 +22,27 @@ from analysis.models.base import Coordinate, Kind
 from analysis.models.fresnel import dielectric
 from analysis.samples import read, select
 from benchmarks.models import (
-    ANGLES_DEG,
+    ALBEDO_DRAWS,
     DATA,
-    PAIRS,
+    DIGITS_DRAWS,
+    DIGITS_PAIRS,
+    RECIPROCITY_DRAWS,
     STEEPEST_DEG,
-    albedo,
+    digits,
     draw_all,
     factored_against_ggx,
-    largest_albedo,
     nanoseconds,
+    stand_ins,
+)
+from benchmarks.models_digits import EXCEPTED_TARGET, SLOPE_TARGET, VALUE_TARGET, directions
+from benchmarks.models_energy import (
+    ANGLES_DEG,
+    GRAZING_DEG,
+    RECIPROCITY_TARGET,
+    albedo,
+    largest_albedo,
     projected_areas,
     reciprocity,
-    stand_ins,
 )
 
 if TYPE_CHECKING:
@@ -45,7 +54,7 @@ THINNED = 4
 
 def page(folder: Path) -> str:
     """Set the text of models.md."""
-    parts = [_HEAD, _overview(), _NOT_RECIPROCAL, _violations(), _ENERGY, _albedos(), _DIGITS]
+    parts = [_HEAD, _overview(), _NOT_RECIPROCAL, _violations(), _ENERGY, _albedos(), _DIGITS, _digits()]
     parts += [_measured(), "## The models\n"]
     parts += [_section(model) for model in MODELS.values()]
     parts.append(_factored_section())
@@ -62,12 +71,13 @@ Every model is f_r = sum of scale times term, in 1/sr and without a cosine. kd s
 unless said otherwise), ks the specular one. N, L, E and H are the unit vectors of normal, light, camera and
 half vector; alpha, m and the like are the widths of the distribution itself, never a root or a square of
 some roughness. Scales are solved for in a fit, shapes are searched between the bounds given here. A new
-model is one file: its parameters, its term and the term's derivatives; tables, tests of properties,
-`gonio fit` and this page take it from the registry.
+model is one file in `analysis/models`: its parameters, its term and the term's derivatives. It is found
+there by the tables, the tests of properties, `gonio fit` and this page; the one thing to add is its formula
+as the source prints it, in `benchmarks/models_exact.py`, which its digits are compared with.
 
 `gonio fit` tries the usual six without being asked:
 {", ".join(f"`{name}`" for name in DEFAULT_MODELS)}.
-`--all` tries all that have Lambert's diffuse term. *Reciprocal*: light and camera may change places.
+`--all` tries all. *Reciprocal*: light and camera may change places.
 *Conserves*: every term reflects at most its scale, so kd + ks <= 1 (with F0 <= 1) is enough for no light to
 be created; of the others see the table of albedo.
 """
@@ -75,31 +85,42 @@ be created; of the others see the table of albedo.
 _NOT_RECIPROCAL = f"""
 ## Where reciprocity does not hold
 
-Largest difference of f(L, E) and f(E, L) over the larger of both, over {PAIRS} pairs up to
-{STEEPEST_DEG:.0f}°, at the default shape. All models not listed stay below 1e-9.
+Largest difference of f(L, E) and f(E, L) over the larger of both: at the default shape up to
+{STEEPEST_DEG:.0f}°, and over {RECIPROCITY_DRAWS} more shapes of the box up to 89.999°. All other models stay
+below {RECIPROCITY_TARGET:g} over the same shapes and directions.
 """
 
-_ENERGY = """
+_ENERGY = f"""
 ## Directional albedo
 
 Of the specular term at ks = 1 (of the diffuse term where there is no other), default shape, light from 0 to
-85°. The last column is the largest over random shapes within the bounds, as far as a quadrature of the
-hemisphere resolves them (widths from 0.1, exponents to 200). Where a scale is no albedo by definition (Phong
-as published, Lafortune, Torrance-Sparrow, ABC, Cook-Torrance 1982) the number says so and nothing else.
+85°; then the largest of any term over the default and {ALBEDO_DRAWS} more shapes, corners and inside of the
+whole box, up to {GRAZING_DEG}°, with the angle where it was met. Adaptive quadrature, good to 1e-6. A model
+that promises to conserve energy stays below 1; of the others what is above 1 is the violation. Where a scale
+is no albedo by definition (Phong as published, Lafortune, Torrance-Sparrow, ABC, SGD, Cook-Torrance 1982) the
+number says so and nothing else.
 """
 
-_DIGITS = """
+_DIGITS = f"""
 ## Digits
 
-Values agree with 50-digit arithmetic to 1e-12 and derivatives to 1e-10, over the corners and the inside of
-the bounds, for directions at random, at the mirror direction and beside it, back to the light, and up to
-89.999° (`tests/analysis/test_models*.py`). The exceptions:
+Largest relative errors against the formulas as their sources print them, in 50 digits
+(`benchmarks/models_exact.py`): over {len(directions(DIGITS_PAIRS)[0])} pairs of directions (at random, at
+the mirror direction, 1e-6 to 0.3 beside it, back to the light, normal incidence and 89.999° on either side
+and on both) and {DIGITS_DRAWS} shapes beside the default, corners of the bounds and their inside. Bounds:
+{VALUE_TARGET:g} for f, {SLOPE_TARGET:g} for derivatives. Derivatives are compared with central differences in
+50 digits, which are as good as a complex step; where one passes through zero, over 1 % of f per value of the
+parameter. No warning of numpy is raised, NaN gives NaN.
 
-- anisotropic models, where H lies within some degrees of an axis: the component across it is a difference,
-  and the ratio of the widths (up to 667 here) multiplies what it lost. 1e-8, derivatives 1e-6.
-- Lafortune's lobe where its base is below 0.2, for the same reason: the two products cancel.
-- `sgd` where its masking or its reflectance, both differences, end in zero.
-- numbers below 1e-300, which have no twelve digits.
+The exceptions, which the last column holds and the others do not, bound {EXCEPTED_TARGET:g}: differences in
+the formula itself that come out below a tenth of their terms, so that the digits are lost in the formula and
+not in the program.
+
+- `lafortune`, `lafortune-retro`: the base of the power, near the angle where the lobe ends.
+- `sgd`: masking and reflectance, where they end in zero.
+- `ashikhmin-shirley`, `beckmann-anisotropic`: the component of H across an axis that it nearly lies on,
+  whose square an exponential takes up to 700 times.
+- Numbers below 1e-290, which have no twelve digits as doubles, count nowhere.
 """
 
 
@@ -117,27 +138,51 @@ def _overview() -> str:
 
 
 def _violations() -> str:
-    lines = ["| model | violation |", "| --- | --- |"]
-    lines += [
-        f"| {name} | {reciprocity(model):.3g} |" for name, model in MODELS.items() if not model.RECIPROCAL
-    ]
+    lines = [f"| model | default, to {STEEPEST_DEG:.0f}° | box, to 89.999° |", "| --- | --- | --- |"]
+    for name, model in MODELS.items():
+        box = reciprocity(model, RECIPROCITY_DRAWS)
+        if not model.RECIPROCAL:
+            lines.append(f"| {name} | {reciprocity(model, 0, STEEPEST_DEG):.3g} | {box:.3g} |")
+        elif box > RECIPROCITY_TARGET:
+            raise AssertionError(f"{name} is called reciprocal and is not: {box}")
     return "\n".join([*lines, ""])
 
 
 def _albedos() -> str:
     heads = " | ".join(f"{theta:.0f}°" for theta in ANGLES_DEG)
-    lines = [f"| model | {heads} | largest |", "| --- " * (len(ANGLES_DEG) + 2) + "|"]
+    lines = [f"| model | {heads} | largest | at | promised |", "| --- " * (len(ANGLES_DEG) + 4) + "|"]
     for name, model in MODELS.items():
         scales = [p.name for p in model.PARAMETERS if p.kind is not Kind.SHAPE]
         one = model(**{scale: float(scale == scales[-1]) for scale in scales})
         cells = " | ".join(f"{albedo(one, theta):.4g}" for theta in ANGLES_DEG)
-        lines.append(f"| {name} | {cells} | {largest_albedo(model):.4g} |")
-    areas = ", ".join(f"{name} {area:.12f}" for name, area in projected_areas().items())
+        found = largest_albedo(model, ALBEDO_DRAWS)
+        promised = "yes" if model.CONSERVES else "no"
+        lines.append(f"| {name} | {cells} | {found.albedo:.4g} | {found.theta_deg:g}° | {promised} |")
     exact = float(dielectric(1.0, 1.5))
-    lines += ["", f"Projected area of the normalised distributions (worst of widths 0.01 to 2): {areas}."]
+    lines.append("")
     lines.append(
         f"The default facets reflect F0 = 0.04 (ior 1.5: {exact:.4f}), so of ks = 1 about that is left."
     )
+    lines += [
+        "",
+        "Projected area of the facets, the integral of D cos over the hemisphere, which is 1 for a",
+        "normalised distribution; the worst over the box of widths (of two widths: up to 0.003 by 2). The",
+        "three classical D of Torrance-Sparrow, and those of ABC and SGD, are 1 at their peak instead.",
+        "",
+        "| distribution | area |",
+        "| --- | --- |",
+    ]
+    lines += [f"| {name} | {area:.9f} |" for name, area in projected_areas().items()]
+    return "\n".join([*lines, ""])
+
+
+def _digits() -> str:
+    lines = ["| model | f | worst derivative | by | f, excepted |", "| --- | --- | --- | --- | --- |"]
+    for name, model in MODELS.items():
+        found = digits(model)
+        by = max(found.slopes, key=lambda shape: found.slopes[shape])
+        excepted = f"{found.excepted:.1e}" if found.excepted else "-"
+        lines.append(f"| {name} | {found.value:.1e} | {found.slopes[by]:.1e} | {by} | {excepted} |")
     return "\n".join([*lines, ""])
 
 
