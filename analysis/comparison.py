@@ -168,14 +168,17 @@ def _left_out(result: FitResult) -> tuple[Array, Array]:
         if not state.loss.counted[left].any() or not state.loss.counted[kept].any(axis=0).all():
             continue
         residuals = [_residuals_left(block, kept, left) for block in state.blocks]
-        count = sum(each.size for each in residuals)
-        if result.loss == ROBUST:
-            # What one model sets aside another describes: all count, and none for its square.
-            squares.append(0.5 * np.pi * (sum(float(np.sum(np.abs(r))) for r in residuals) / count) ** 2)
-        else:
-            squares.append(sum(float(r @ r) for r in residuals) / count)
-        weights.append(count)
+        squares.append(mean_square(np.concatenate(residuals), result.loss))
+        weights.append(sum(each.size for each in residuals))
     return np.array(squares), np.array(weights, dtype=np.float64)
+
+
+def mean_square(residual: Array, loss: str) -> float:
+    """Mean square of residuals left out; under the robust loss what their mean size says it is."""
+    if loss == ROBUST:
+        # What one model sets aside another describes: all count, and none for its square.
+        return float(0.5 * np.pi * np.mean(np.abs(residual)) ** 2)
+    return float(np.mean(np.square(residual)))
 
 
 def _residuals_left(block: Block, kept: NDArray[np.intp], left: NDArray[np.intp]) -> Array:

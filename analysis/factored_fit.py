@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.comparison import folds_of
+from analysis.appearance import appearance
+from analysis.comparison import folds_of, mean_square
 from analysis.fit import fit
 from analysis.identifiability import Caution, Kind
 from analysis.metrics import goodness
@@ -168,18 +169,18 @@ def _scores(start: FitResult) -> tuple[Array, Array]:
         if not len(kept):
             break
         # Channels first twice is channels last again.
-        rest, held = (state.loss.by_channel(rows).by_channel() for rows in (kept, left))
-        count = int(held.used.sum())
-        if count == 0 or not rest.used.any(axis=0).all():
+        if not state.loss.counted[left].any() or not state.loss.counted[kept].any(axis=0).all():
             continue
+        rest = state.loss.by_channel(kept).by_channel()
+        held = state.loss.reweighted(None).by_channel(left).by_channel()
         model, geometry = _refitted(start, kept, rest), Geometry(wi[kept], wo[kept])
         row = []
         for stiffness in LADDER:
             found = estimate_under(rest, geometry, model, stiffness=stiffness).model
             f = found.evaluate(wi[left], wo[left])
-            row.append(float(np.sum(np.square(held.residual(f)))) / count)
+            row.append(mean_square(held.residual(f)[held.used], start.loss))
         scores.append(row)
-        weights.append(count)
+        weights.append(int(held.used.sum()))
     return np.reshape(scores, (-1, len(LADDER))), np.array(weights, dtype=np.float64)
 
 
@@ -197,14 +198,16 @@ def _refitted(start: FitResult, kept: NDArray[np.intp], rest: Loss) -> Model:
 
 def _metrics(found: Estimate, goal: Loss, geometry: Geometry) -> dict[str, float]:
     # Under chi2 the slope is the datum's own weight.
-    weight = goal.weight()
+    weight = goal.reweighted(None).weight()
     u = np.where(weight > 0.0, 1.0 / np.where(weight > 0.0, weight, 1.0), np.inf)
-    return goodness(
+    compared = goodness(
         found.model.evaluate(geometry.wi, geometry.wo),
         goal.data,
-        goal.used,
+        goal.counted,
         wi=geometry.wi,
         wo=geometry.wo,
         uncertainty=u if goal.name == "chi2" else None,
         parameters=round(found.freedom),
     )
+    f_r = np.where(goal.counted, goal.data, np.nan)
+    return compared | appearance(found.model.evaluate, geometry.wi, geometry.wo, f_r)

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.appearance import appearance
 from analysis.factored_fit import FactoredFit
 from analysis.intervals import profile_intervals
-from analysis.ranking import data_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,8 +51,6 @@ def entry(
 ) -> dict[str, Any]:
     """Describe one fit; a parameter that channels do not share is a list by channel."""
     result = candidate.result
-    geometry, loss = data_of(result)
-    f_r = np.where(loss.used, loss.data, np.nan)
     own = _of_tables(result) if isinstance(result, FactoredFit) else _of_parameters(result, channels)
     return {
         "file": file,
@@ -64,7 +60,7 @@ def entry(
         "count": result.count,
         "masked": dict(left),
         **own,
-        "metrics": result.metrics | appearance(result.model.evaluate, geometry.wi, geometry.wo, f_r),
+        "metrics": result.metrics,
         "cross_validation": candidate.cross_validation,
         "cross_validation_folds": np.sqrt(candidate.squares),
         "bic": candidate.bic,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from analysis.comparison import Candidate
     from analysis.differences import Difference
+    from analysis.models.factored import Table
     from analysis.ranking import AnyFit
 
 METRICS = {
@@ -94,13 +95,21 @@ def _tables(result: FactoredFit) -> list[str]:
     density, reflectance = result.tables["D"], result.tables["F"]
     half = np.flatnonzero(density.value < 0.5 * density.value[0])
     falls = f"falls to half by {density.theta_deg[half[0]]:.3g} deg" if half.size else "never falls to half"
-    mean = reflectance.value.mean(axis=1)
-    at_60_deg = float(np.interp(60.0, reflectance.theta_deg, mean))
+    at_0, at_60 = (_at(reflectance, theta_deg) for theta_deg in (0.0, 60.0))
     return [
         f"  D(theta_h)     {density.value[0]:.4g}/sr at the normal, {falls}",
-        f"  ks F(theta_d)  {mean[0]:.4g} at 0 deg, {at_60_deg:.4g} at 60 deg, mean of the channels",
+        f"  ks F(theta_d)  {at_0} at 0 deg, {at_60} at 60 deg, mean of the channels",
         f"  {result.freedom:.0f} parameters are decided by the data; --json has the tables",
     ]
+
+
+def _at(table: Table, theta_deg: float) -> str:
+    """Set a table's mean over the channels at an angle, with its relative uncertainty."""
+    value, u = (
+        float(np.interp(theta_deg, table.theta_deg, part.mean(axis=1)))
+        for part in (table.value, table.relative_u)
+    )
+    return f"{value:.3g} +- {100.0 * u:.2g} %"
 
 
 def _line(label: str, value: str, u: str) -> str:

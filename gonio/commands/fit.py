@@ -52,7 +52,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loss",
         metavar="NAME",
-        help="chi2, log, cbrt or l2 (default: chi2 where uncertainties exist, else log)",
+        help="chi2, log, cbrt, l2 or robust (default: chi2 where uncertainties exist, else log)",
+    )
+    parser.add_argument(
+        "--shape",
+        metavar="HOW",
+        default="shared",
+        help="shared: channels share widths and the like; per-channel: each has its own (default: shared)",
     )
     parser.add_argument(
         "--max-theta-deg", type=float, metavar="T", help="leave out samples beyond this angle"
@@ -147,7 +153,7 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
 
 def _engine_options(options: argparse.Namespace) -> dict[str, Any]:
     """Collect what is handed on to the fit itself."""
-    return {"loss": options.loss}
+    return {"loss": options.loss, "shape": options.shape}
 
 
 def _object(
