@@ -15,7 +15,7 @@ from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from analysis.equations import Problem
+    from analysis.problem import Problem
     from analysis.jacobian import SearchJacobian
     from analysis.layout import Layout
     from analysis.losses import Loss

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ from analysis.identifiability import (
     correlation_matrix,
     one_each,
 )
+from analysis.instrument import Seen, instrument_of
 from analysis.layout import layout_of
 from analysis.metrics import goodness
 from analysis.models import MODELS
@@ -129,6 +130,7 @@ def fit(
     channels: Sequence[int] | None = None,
     shape: str = Shape.SHARED,
     max_theta_deg: float | None = None,
+    instrument: bool = True,
 ) -> FitResult:
     """Fit a model; each channel has scales of its own, and on request shapes of its own.
 
@@ -154,6 +156,9 @@ def fit(
         errors that channels share.
     max_theta_deg : float, optional
         Leave out samples whose light or camera lies further than this from the normal.
+    instrument : bool
+        Whether the model is averaged over source and receiver, where their solid angles are stated and it
+        matters: the parameters are then those of the surface, not of what the instrument makes of it.
 
     Returns
     -------
@@ -172,18 +177,28 @@ def fit(
         samples = samples.isel(channel=list(channels))
     data = observe(select(samples, max_theta_deg=max_theta_deg, where=name))
     check_enough(data, MODELS[name])
-    goal = Goal(loss, data, shared=shape == Shape.SHARED)
+    discs = instrument_of(samples) if instrument else None
+    goal = Goal(loss, data, shared=shape == Shape.SHARED, instrument=discs)
     blocks = goal.blocks(MODELS[name], data.total([]))
-    poses = uncertainty.shared_by_pose(data.samples, _model(goal, blocks)) if data.stated else []
+    poses = uncertainty.shared_by_pose(data.samples, _seen(goal, blocks)) if data.stated else []
     if poses and goal.base == "chi2":
         # The pose's part needs the model's gradient: weigh once more with that of the first solution.
         blocks = goal.blocks(MODELS[name], data.total(poses), blocks)
-        poses = uncertainty.shared_by_pose(data.samples, _model(goal, blocks))
+        poses = uncertainty.shared_by_pose(data.samples, _seen(goal, blocks))
     return _result(goal, blocks, poses)
 
 
 def _model(goal: Goal, blocks: tuple[Block, ...]) -> Model:
     return blocks[0].problem.model(**_values(goal, blocks))
+
+
+def _seen(goal: Goal, blocks: tuple[Block, ...]) -> Model | Seen:
+    """Return the model as the instrument sees it: where any channel is averaged, all are."""
+    model, spreads = _model(goal, blocks), [b.problem.spread for b in blocks if b.problem.spread is not None]
+    if not spreads:
+        return model
+    rows = np.any([spread.rows for spread in spreads], axis=0)
+    return Seen(model, replace(spreads[0], rows=rows, order=max(spread.order for spread in spreads)))
 
 
 def _values(goal: Goal, blocks: tuple[Block, ...]) -> dict[str, Array]:

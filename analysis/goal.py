@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.equations import Problem
 from analysis.losses import ROBUST, make_loss
 from analysis.models.base import Geometry
+from analysis.problem import Problem
+from analysis.resolution import resolve
 from analysis.robust import minimise_robustly
 from analysis.solver import minimise
 from analysis.state import Block
 
 if TYPE_CHECKING:
+    from analysis.instrument import Instrument
     from analysis.losses import Loss
     from analysis.models.base import Model
     from analysis.observations import Observations
@@ -35,11 +37,16 @@ class Goal:
         The data.
     shared : bool
         Whether all channels share their shapes.
+    instrument : Instrument, optional
+        Source and receiver over which the model is averaged, where that matters.
     """
 
-    def __init__(self, loss: str | None, data: Observations, *, shared: bool) -> None:
+    def __init__(
+        self, loss: str | None, data: Observations, *, shared: bool, instrument: Instrument | None = None
+    ) -> None:
         usual = "chi2" if data.stated else "log"
         self.data, self.shared = data, shared
+        self.instrument = instrument
         self.robust = loss == ROBUST
         self.base = usual if loss is None or self.robust else loss
         self._geometry = Geometry(data.wi, data.wo)
@@ -50,12 +57,25 @@ class Goal:
         """Fit each group of channels; `before` are fits of nearly the same data."""
         every = tuple(range(self.data.f_r.shape[1]))
         groups = [every] if self.shared else [(c,) for c in every]
-        starts = [None] * len(groups) if before is None else [block.solution for block in before]
         found = []
-        for group, start in zip(groups, starts, strict=True):
-            problem, loss = Problem(model, self._geometry, len(group)), self._loss(group, u)
-            found.append(self._fitted(group, problem, loss, start))
+        for i, group in enumerate(groups):
+            loss = self._loss(group, u)
+            if before is None:
+                block = self._fitted(group, Problem(model, self._geometry, len(group)), loss, None)
+            else:
+                block = self._fitted(group, before[i].problem, loss, before[i].solution)
+            found.append(self._resolved(block, loss))
         return tuple(found)
+
+    def _resolved(self, block: Block, loss: Loss) -> Block:
+        """Fit again with the instrument's discs, where they matter."""
+        if self.instrument is None:
+            return block
+        scatter = 1.0 if self.data.stated and self.base == "chi2" else block.residual_scatter()
+        problem, solution = resolve(block.problem, block.loss, block.solution, self.instrument, scatter)
+        if problem is block.problem:
+            return block
+        return self._fitted(block.channels, problem, loss, solution)
 
     def labels(self, block: Block) -> tuple[int, str] | None:
         """Return number and name of the channel whose fit a block is; None where it is that of all."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.equations import Problem
 from analysis.models.base import Geometry
+from analysis.problem import Problem
 from rig.angles import from_half_difference
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ FEWEST_INSIDE = 2
 NARROWEST = 0.42
 """Half-width of a lobe, in steps of the grid of directions, that a grid still resolves: half a step moves the
 half vector by a quarter to a half of it."""
+BELOW_INSTRUMENT = 0.25
+"""Half-width of a lobe, as a share of the angle by which the instrument blurs it, below which the width is
+lost: the two add in squares, and the rule of nodes no longer meets the lobe."""
 NEAR_TOP_RAD = np.radians(20.0)
 """Angle of the half vector to the normal within which the grid's step counts."""
 GROUPS = 8
@@ -140,13 +143,18 @@ def about_the_lobe(block: Block, label: tuple[int, str] | None = None) -> list[C
     used = np.any(block.loss.counted, axis=1)
     wi, wo = problem.geometry.wi[used], problem.geometry.wo[used]
     theta_h = np.arctan(np.sqrt(problem.geometry.tan2_h[used, 0]))
-    inside = np.unique(np.round(theta_h[theta_h < width] / (RESOLVED * width))).size
+    blur = 0.0 if problem.spread is None else problem.spread.instrument.half_vector_rad
+    # What the samples must resolve is the lobe as the instrument widens it.
+    seen = float(np.hypot(width, blur))
+    inside = np.unique(np.round(theta_h[theta_h < seen] / (RESOLVED * seen))).size
     step = grid_step(wi, wo, theta_h)
     falls = f"the lobe falls to half within {np.degrees(width):.2g} deg"
     if inside < FEWEST_INSIDE:
         samples = f"the samples have {inside} distinct half vector(s) there"
-    elif width < NARROWEST * step:
+    elif seen < NARROWEST * step:
         samples = f"the directions are {np.degrees(step):.2g} deg apart"
+    elif width < BELOW_INSTRUMENT * blur:
+        samples = f"source and receiver move the half vector by {np.degrees(blur):.2g} deg"
     else:
         return []
     text = f"{of}{falls} and {samples}: {name} is not to be trusted"

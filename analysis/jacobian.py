@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from analysis.equations import Problem, Terms
+    from analysis.problem import Problem, Terms
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from analysis.equations import Problem
+    from analysis.problem import Problem
 
     Rows = NDArray[np.intp]
 

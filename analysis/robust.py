@@ -28,7 +28,7 @@ from analysis.solver import minimise
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.equations import Problem
+    from analysis.problem import Problem
     from analysis.losses import Loss
     from analysis.solver import Solution
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.descent import descend
-from analysis.equations import Linearised, Problem, solve_scales
+from analysis.equations import Linearised, solve_scales
 
 if TYPE_CHECKING:
     from analysis.losses import Loss
+    from analysis.problem import Problem
 
 Array = NDArray[np.float64]
 

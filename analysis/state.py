@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from analysis.equations import Problem
+    from analysis.problem import Problem
     from analysis.layout import Layout
     from analysis.losses import Loss
     from analysis.solver import Solution

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from analysis.instrument import Seen
     from analysis.models.base import Model
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
     return errors
 
 
-def shared_by_pose(samples: xr.Dataset, model: Model) -> list[SharedError]:
+def shared_by_pose(samples: xr.Dataset, model: Model | Seen) -> list[SharedError]:
     """Errors of the joints' angles, turned into errors of f_r with a model's gradient.
 
     Parameters
@@ -125,7 +126,7 @@ def shared_by_pose(samples: xr.Dataset, model: Model) -> list[SharedError]:
     return errors
 
 
-def directional_slope(model: Model, wi: Array, wo: Array, d_wi: Array, d_wo: Array) -> Array:
+def directional_slope(model: Model | Seen, wi: Array, wo: Array, d_wi: Array, d_wo: Array) -> Array:
     """Differentiate a model's f_r along a joint movement of both directions.
 
     Parameters

@@ -7,11 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from analysis.equations import Problem, solve_scales
+from analysis.equations import solve_scales
 from analysis.fit import fit
 from analysis.losses import LOSSES, make_loss
 from analysis.models import MODELS
 from analysis.models.base import Geometry, Kind
+from analysis.problem import Problem
 from analysis.samples import make_samples, read, select
 from analysis.solver import Solution, minimise
 from rig.angles import spherical_to_direction

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.equations import Linearised, Problem
+from analysis.equations import Linearised
 from analysis.fit import fit
 from analysis.jacobian import search_jacobian
 from analysis.losses import make_loss
 from analysis.models import FITTED_MODELS, MODELS
 from analysis.models.base import Geometry, Kind
+from analysis.problem import Problem
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 

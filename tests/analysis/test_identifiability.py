@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.equations import Problem
 from analysis.fit import fit
 from analysis.identifiability import Kind, correlation_matrix, grid_step, half_width
 from analysis.models import MODELS
 from analysis.models.base import Geometry
+from analysis.problem import Problem
 from analysis.samples import make_samples, read, select
 from rig.angles import spherical_to_direction
 
