@@ -35,7 +35,7 @@ RECIPROCITY_TARGET = 1e-12
 AZIMUTH = 0.4
 """Of the light, so that it lies on no axis."""
 CELL_TOLERANCE = 1e-8
-"""Between the two rules in one cell, absolute; the finer one is then far better than that."""
+"""Between the two rules in one cell, over the integral where that is above 1; the finer one is far better."""
 FINEST = 1e-6
 RATIO = 4.0
 DEEPEST = 10
@@ -56,7 +56,8 @@ def integral(integrand: Integrand, theta: float, phi: float) -> float:
     total = 0.0
     for _ in range(DEEPEST):
         coarse, fine = _rule(integrand, cells, LOW), _rule(integrand, cells, HIGH)
-        done = np.abs(fine - coarse) <= np.maximum(CELL_TOLERANCE, CELL_TOLERANCE * np.abs(fine))
+        size = max(1.0, abs(total + float(np.sum(fine))))
+        done = np.abs(fine - coarse) <= CELL_TOLERANCE * size
         total += float(np.sum(fine[done]))
         cells = _split(cells[~done])
         if not len(cells):
@@ -148,7 +149,7 @@ def reciprocity(model: type[Model], draws: int, steepest_deg: float = 90.0) -> f
     for shape in shapes(model, draws):
         one = model(**shape)
         forth, back = one.evaluate(wi, wo), one.evaluate(wo, wi)
-        change = np.abs(forth - back) / np.maximum(np.maximum(forth, back), FAINTEST)
+        change = np.abs(forth - back) / np.maximum(np.maximum(np.abs(forth), np.abs(back)), FAINTEST)
         largest = max(largest, float(np.max(change)))
     return largest
 

@@ -157,7 +157,7 @@ def _albedos() -> str:
         cells = " | ".join(f"{albedo(one, theta):.4g}" for theta in ANGLES_DEG)
         found = largest_albedo(model, ALBEDO_DRAWS)
         promised = "yes" if model.CONSERVES else "no"
-        lines.append(f"| {name} | {cells} | {found.albedo:.4g} | {found.theta_deg:g}° | {promised} |")
+        lines.append(f"| {name} | {cells} | {_number(found.albedo)} | {found.theta_deg:g}° | {promised} |")
     exact = float(dielectric(1.0, 1.5))
     lines.append("")
     lines.append(
@@ -174,6 +174,11 @@ def _albedos() -> str:
     ]
     lines += [f"| {name} | {area:.9f} |" for name, area in projected_areas().items()]
     return "\n".join([*lines, ""])
+
+
+def _number(value: float) -> str:
+    """Four digits, and one more than four nines."""
+    return f"{value:.4g}" if value < 0.9999 or value > 1.0001 else f"{value:.7f}"
 
 
 def _digits() -> str:
