@@ -27,6 +27,33 @@ def reference(cos_d, ior):
     return (perpendicular**2 + parallel**2) / 2
 
 
+def by_angles(cos_d, ior):
+    """F = (sin^2(phi - theta)/sin^2(phi + theta) + tan^2(phi - theta)/tan^2(phi + theta))/2, Snell's theta."""
+    phi = mp.acos(mp.mpf(cos_d))
+    theta = mp.asin(mp.sin(phi) / mp.mpf(ior))
+    apart, together = phi - theta, phi + theta
+    return ((mp.sin(apart) / mp.sin(together)) ** 2 + (mp.tan(apart) / mp.tan(together)) ** 2) / 2
+
+
+def by_cosines(cos_d, ior):
+    """F = (g - c)^2/(g + c)^2 (1 + ((c(g + c) - 1)/(c(g - c) + 1))^2)/2, g^2 = n^2 + c^2 - 1."""
+    c = mp.mpf(cos_d)
+    g = mp.sqrt(mp.mpf(ior) ** 2 + c**2 - 1)
+    ratio = (c * (g + c) - 1) / (c * (g - c) + 1)
+    return ((g - c) / (g + c)) ** 2 * (1 + ratio**2) / 2
+
+
+@pytest.mark.parametrize("form", [by_angles, by_cosines])
+@pytest.mark.parametrize("ior", [1.0 + 1e-9, 1.33, 1.5, 3.4, 100.0])
+def test_both_forms_of_the_lecture_are_this_one(form, ior):
+    """Catches a reflectance that is neither of the two formulas that books print, up to 89.999 deg."""
+    angles = np.radians([1e-4, 20.0, 45.0, 56.0, 80.0, 89.0, 89.999])
+    with mp.workdps(DIGITS):
+        for cos_d in np.cos(angles):
+            theirs = form(cos_d, ior)
+            assert abs(mp.mpf(float(dielectric(cos_d, ior))) - theirs) <= 1e-12 * theirs
+
+
 @given(cos_d=st.floats(1e-6, 1.0), above_one=st.floats(1e-12, 99.0))
 def test_agrees_with_50_digits(cos_d, above_one):
     """Catches cancellation: near n = 1 the textbook form has no digit left in double precision."""
