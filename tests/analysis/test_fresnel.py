@@ -28,7 +28,7 @@ def reference(cos_d, ior):
 
 
 def by_angles(cos_d, ior):
-    """F = (sin^2(phi - theta)/sin^2(phi + theta) + tan^2(phi - theta)/tan^2(phi + theta))/2, Snell's theta."""
+    """F = (sin^2(a)/sin^2(b) + tan^2(a)/tan^2(b))/2, a and b difference and sum of Snell's angles."""
     phi = mp.acos(mp.mpf(cos_d))
     theta = mp.asin(mp.sin(phi) / mp.mpf(ior))
     apart, together = phi - theta, phi + theta
