@@ -43,7 +43,7 @@ def sniff(head: bytes) -> bool:
         return False
     for line in head.decode("utf-8-sig", errors="replace").splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
-            return ANGLES[0] in line
+            return ANGLES[0] in line and ANGLES[1] in line  # in the plane there are no azimuths
     return False
 
 

@@ -1,16 +1,18 @@
 """Tables in the plane of incidence with named columns, each laboratory's with its own convention.
 
-Separated by commas, polar angles in degrees, the light on one side of the normal and a positive view on the
-other: columns `theta_i_deg`, `theta_o_deg`, optionally `material`, and either `f_r` or `radiance_L_o`, the
+Separated by commas (or semicolons, tabs), polar angles with their unit in the header, the light on one side
+of the normal and a positive view on the other: columns `theta_i_deg`, `theta_o_deg` (or `theta_i [rad]`),
+optionally `material`, and either `f_r` (or `brdf [1/sr]`) or `radiance_L_o`, in any order. The latter is the
 radiance of the mid-infrared instrument of Noori and others (JSSS 2025):
 
     f_r = L_o / (L_i cos(theta_i) Omega_i),  Omega_i = pi 5^2 / 315^2 sr,  L_i = 3463.986
 
 They published f_r cos(theta_o), which breaks reciprocity: `as_published` gives those values.
 
-Separated by blanks, with the columns named in the last comment: `phi_i theta_i phi_o theta_o brdf`, where the
-file's comments say which of the two is the zenith; signed zenith angles, as in the chassis of a satellite by
-Fankhauser and others (2023). Directions at or below the horizon are dropped: no BRDF is defined there.
+Separated by blanks, with the columns named in a comment: `phi_i theta_i phi_o theta_o brdf` in any order,
+where the file's comments say which of the two is the zenith; signed zenith angles, as in the chassis of a
+satellite by Fankhauser and others (2023). Directions at or below the horizon are dropped: no BRDF is defined
+there.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
-from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.text import looks_like_text, number, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
@@ -43,6 +45,10 @@ ANGLES = ("phi_i", "theta_i", "phi_o", "theta_o")
 SOURCE_SOLID_ANGLE_SR = float(np.pi * 5.0**2 / 315.0**2)
 SOURCE_RADIANCE = 3463.986
 HORIZON = 1e-6
+# Nothing here can take what its neighbour takes: blanks without end would be tried in all ways.
+_NAME = re.compile(
+    r"(?P<name>[^\[(]*)[\[(](?P<unit>deg|degrees|rad|radians|1/sr|sr-1|sr\^-1)[\])]\Z", re.IGNORECASE
+)
 _ZENITH = re.compile(r"\((phi|theta)_[io], *(?:phi|theta)_[io]\) are the zenith and azimuth")
 _WAVELENGTH = re.compile(r"lambda *= *(\d+(?:\.\d+)?) *nm")
 
@@ -59,10 +65,30 @@ def _comma_header(lines: list[str]) -> int | None:
     """Return the index of the line that names comma-separated columns."""
     for index, line in enumerate(lines):
         if line.strip() and not line.lstrip().startswith("#"):
-            names = [name.strip() for name in line.split(",")]
+            names = list(_columns(line))
             known = set(POLAR) <= set(names) and not set(names) - {*POLAR, *VALUES, "material"}
             return index if known else None
     return None
+
+
+def _columns(line: str) -> dict[str, float]:
+    """Return the columns that a line names, as this module calls them, and what turns them to degrees.
+
+    Units stand behind a name as laboratories write them: `theta_i_deg`, `theta_i [rad]`, `f_r (1/sr)`. A name
+    that stands twice makes the line no header.
+    """
+    columns = {}
+    cells = [cell.strip() for cell in line.split(separator_of(line))]
+    for cell in cells:
+        named = _NAME.match(cell)
+        name, unit = (named["name"].strip(), named["unit"].lower()) if named else (cell, "")
+        stem = name.removesuffix("_deg").removesuffix("_rad")
+        if f"{stem}_deg" in POLAR and (unit or stem != name):
+            radians = unit.startswith("rad") or name.endswith("_rad")
+            columns[f"{stem}_deg"] = float(np.degrees(1.0)) if radians else 1.0
+        else:
+            columns["f_r" if name.lower() in {"f_r", "brdf"} else name] = 1.0
+    return columns if len(columns) == len(cells) else {}
 
 
 def _blank_header(lines: list[str]) -> int | None:
@@ -70,7 +96,7 @@ def _blank_header(lines: list[str]) -> int | None:
     for index, line in enumerate(lines):
         if line.strip() and not line.startswith("#"):
             return None
-        if line[1:].split() == [*ANGLES, "brdf"]:
+        if sorted(line[1:].split()) == sorted([*ANGLES, "brdf"]):
             return index
     return None
 
@@ -111,11 +137,12 @@ def read(path: Path, *, material: str | None = None, as_published: bool = False)
 def _read_commas(
     lines: list[str], header: int, path: Path, material: str | None, *, as_published: bool
 ) -> xr.Dataset:
-    names = [name.strip() for name in lines[header].split(",")]
+    separator, columns = separator_of(lines[header]), _columns(lines[header])
+    names = list(columns)
     values = [name for name in VALUES if name in names]
-    if len(values) != 1 or len(set(names)) != len(names):
+    if len(values) != 1:
         raise BadInput(
-            "needs exactly one column f_r or radiance_L_o, and each name once",
+            "needs exactly one column f_r or radiance_L_o",
             where=f"{path}: line {header + 1}",
             todo="name the columns",
         )
@@ -125,7 +152,7 @@ def _read_commas(
     for line, text in enumerate(lines[header + 1 :], start=header + 2):
         if not text.strip() or text.startswith("#"):
             continue
-        cells = [cell.strip() for cell in text.split(",")]
+        cells = [cell.strip() for cell in text.split(separator)]
         if len(cells) != len(names):
             raise BadInput(
                 f"has {len(cells)} cells, the header {len(names)}",
@@ -134,7 +161,9 @@ def _read_commas(
             )
         row = dict(zip(names, cells, strict=True))
         numbers = [
-            number(row[name], where=f"{path}: line {line}, column {name}") for name in (*POLAR, values[0])
+            columns[name]
+            * number(row[name], where=f"{path}: line {line}, column {name}", decimal_comma=separator != ",")
+            for name in (*POLAR, values[0])
         ]
         for name, angle in zip(POLAR, numbers, strict=False):
             _check_polar(angle, f"{path}: line {line}, column {name}")
@@ -204,7 +233,8 @@ def _read_blanks(lines: list[str], path: Path) -> xr.Dataset:
 
 def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array, dict[str, Any]]:
     """Return polar angle and azimuth of the light, of the view, radians, the values (5, N), and the rest."""
-    header = _blank_header(lines)
+    header = _blank_header(lines) or 0
+    names = lines[header][1:].split()
     comments = "\n".join(line for line in lines if line.startswith("#"))
     stated = _ZENITH.search(comments)
     zenith = stated.group(1) if stated else "theta"
@@ -213,23 +243,21 @@ def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array,
         words = text.split()
         if not words or text.startswith("#"):
             continue
-        if len(words) != len(ANGLES) + 1:
+        if len(words) != len(names):
             raise BadInput(
-                f"has {len(words)} numbers, not {len(ANGLES) + 1}",
+                f"has {len(words)} numbers, not {len(names)}",
                 where=f"{path}: line {line}",
                 todo="complete the row",
             )
         row = {
             name: number(word, where=f"{path}: line {line}, column {name}")
-            for name, word in zip((*ANGLES, "brdf"), words, strict=True)
+            for name, word in zip(names, words, strict=True)
         }
         for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
             _check_polar(row[name], f"{path}: line {line}, column {name}")
         rows.append(row)
     if not rows:
-        raise BadInput(
-            "has a header but no rows", where=f"{path}: line {(header or 0) + 1}", todo="add samples"
-        )
+        raise BadInput("has a header but no rows", where=f"{path}: line {header + 1}", todo="add samples")
     table = {name: np.array([row[name] for row in rows]) for name in (*ANGLES, "brdf")}
     azimuth = "theta" if zenith == "phi" else "phi"
     angles = (f"{zenith}_i", f"{azimuth}_i", f"{zenith}_o", f"{azimuth}_o")

@@ -52,6 +52,41 @@ def test_radiance(save):
     assert "published" in published.attrs["cosine"]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "theta_i_deg,theta_o_deg,f_r\n10,-20,0.5\n60,30,0.25\n",
+        "f_r,theta_o_deg,theta_i_deg\n0.5,-20,10\n0.25,30,60\n",
+        "# 532 nm\ntheta_i [deg];theta_o (deg);BRDF [1/sr]\n10,0;-20,0;0,5\n60;30;0,25\n",
+        "theta_o_rad\ttheta_i [rad]\tbrdf\n-0.3490658503988659\t0.17453292519943295\t0.5\n"
+        "0.5235987755982988\t1.0471975511965976\t0.25\n",
+    ],
+)
+def test_columns_in_any_order_and_unit(save, text):
+    """Catches a column taken for its neighbour, radians for degrees, and a decimal comma for a separator."""
+    samples = read(save(text))
+    np.testing.assert_array_equal(samples["f_r"][:, 0], [0.5, 0.25])
+    np.testing.assert_allclose(
+        samples["wi"], spherical_to_direction(np.radians([10.0, 60.0]), np.pi), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        samples["wo"], spherical_to_direction(np.radians([-20.0, 30.0]), 0.0), atol=1e-15
+    )
+
+
+def test_chassis_columns_in_any_order(save):
+    """Catches columns that are read by their place although they are named."""
+    other = CHASSIS.replace(
+        "# phi_i     theta_i     phi_o     theta_o     brdf", "# brdf phi_o theta_o phi_i theta_i"
+    )
+    rows = [line.split() for line in CHASSIS.splitlines() if not line.startswith("#")]
+    head = [line for line in other.splitlines() if line.startswith("#")]
+    turned = "\n".join([*head, *(" ".join([r[4], r[2], r[3], r[0], r[1]]) for r in rows), ""])
+    expected, samples = read(save(CHASSIS)), read(save(turned))
+    for name in ("wi", "wo", "f_r"):
+        np.testing.assert_array_equal(samples[name], expected[name])
+
+
 def test_plain_table_of_one_material(save):
     """Catches values that are scaled although they are a BRDF."""
     samples = read(save("theta_i_deg,theta_o_deg,f_r\n10,-20,0.5\n"))
