@@ -8,6 +8,7 @@ import numpy as np
 
 from analysis.factored_fit import FactoredFit
 from analysis.intervals import profile_intervals
+from analysis.ranking import data_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,33 +18,38 @@ if TYPE_CHECKING:
     from analysis.comparison import Candidate
     from analysis.differences import Difference
     from analysis.fit import FitResult
+    from analysis.ranking import AnyFit
 
 MOST_CHANNELS = 4
 """Channels up to which kd and ks have profile intervals: with dozens they take minutes."""
 
 
-def masked(whole: xr.Dataset, chosen: xr.Dataset, used: int) -> dict[str, int]:
-    """Count the data that a fit did not use, by reason.
+def masked(whole: xr.Dataset, chosen: xr.Dataset, result: AnyFit) -> dict[str, int]:
+    """Count the data that do not count in a fit, by reason.
 
     Parameters
     ----------
     whole, chosen : xarray.Dataset
         Samples of the chosen channels, and those of them within the largest angle.
-    used : int
-        Number of data that were fitted.
+    result : FitResult or FactoredFit
+        A fit of the chosen samples.
     """
     f_r = chosen["f_r"].to_numpy()
-    below = (chosen["wi"].to_numpy()[:, 2] <= 0.0) | (chosen["wo"].to_numpy()[:, 2] <= 0.0)
-    flagged = chosen["flags"].to_numpy() != 0 if "flags" in chosen else np.zeros(f_r.shape, dtype=bool)
-    below = np.broadcast_to(below[:, None], f_r.shape)
-    counts = {
-        "beyond_max_theta": (whole.sizes["sample"] - chosen.sizes["sample"]) * f_r.shape[1],
-        "flagged": int(flagged.sum()),
-        "below_horizon": int((below & ~flagged).sum()),
-        "without_value": int((~np.isfinite(f_r) & ~below & ~flagged).sum()),
+    lowest = np.minimum(chosen["wi"].to_numpy()[:, 2], chosen["wo"].to_numpy()[:, 2])
+    reasons = {
+        "flagged": chosen["flags"].to_numpy() != 0 if "flags" in chosen else np.zeros(f_r.shape, dtype=bool),
+        "below_horizon": np.broadcast_to(lowest[:, None] <= 0.0, f_r.shape),
+        "without_value": ~np.isfinite(f_r),
     }
-    rest = f_r.size - used - sum(counts[reason] for reason in list(counts)[1:])
-    return counts | {"without_uncertainty": max(rest, 0)}
+    counts = {"beyond_max_theta": (whole.sizes["sample"] - chosen.sizes["sample"]) * f_r.shape[1]}
+    told = np.zeros(f_r.shape, dtype=bool)
+    for reason, data in reasons.items():
+        counts[reason] = int((data & ~told).sum())
+        told |= data
+    used = int(data_of(result)[1].used.sum())
+    counts["without_uncertainty"] = int((~told).sum()) - used
+    counts["gross_error"] = used - result.count
+    return counts
 
 
 def entry(

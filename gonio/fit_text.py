@@ -33,6 +33,7 @@ MASKED = {
     "below_horizon": "below the horizon",
     "without_value": "without a value",
     "without_uncertainty": "without an uncertainty",
+    "gross_error": "far from the best model",
 }
 
 

@@ -70,12 +70,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What came of one file."""
+    """What came of one file; `masked` by candidate."""
 
     file: str
     channels: list[str]
     ranked: list[Candidate]
-    masked: dict[str, int]
+    masked: list[dict[str, int]]
     left_out: dict[str, str] = field(default_factory=dict)
 
 
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     for file in options.files:
         fitted.append(_fit(file, names, options, progress))
         if not options.json and not options.compare:
-            print(page(file, fitted[-1].channels, fitted[-1].ranked, masked=fitted[-1].masked,
+            print(page(file, fitted[-1].channels, fitted[-1].ranked, masked=fitted[-1].masked[0],
                        left_out=fitted[-1].left_out))  # fmt: skip
     compared = _compared(fitted) if options.compare else {}
     if options.json:
@@ -148,7 +148,7 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
     except BadInput as error:
         raise BadInput(str(error), where=file) from None
     channels = [str(channel) for channel in samples["channel"].to_numpy()]
-    return _Fitted(file, channels, ranked, masked(whole, samples, ranked[0].result.count), left_out)
+    return _Fitted(file, channels, ranked, [masked(whole, samples, one.result) for one in ranked], left_out)
 
 
 def _engine_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -163,7 +163,11 @@ def _object(
     from gonio.fit_entry import comparison, entry
 
     return {
-        "fits": [entry(each.file, each.channels, one, each.masked) for each in fitted for one in each.ranked],
+        "fits": [
+            entry(each.file, each.channels, one, left)
+            for each in fitted
+            for one, left in zip(each.ranked, each.masked, strict=True)
+        ],
         "words": {each.file: in_words(each.ranked) for each in fitted},
         "left_out": {each.file: each.left_out for each in fitted},
         **(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,6 +53,69 @@ def test_json_is_one_object_and_nothing_else(table, capsys):
     assert first["bic"] < second["bic"]
     assert first["cautions"] == []
     assert first["condition"] >= 1.0
+
+
+def test_every_key_is_documented_and_every_documented_key_printed(table, tmp_path, capsys):
+    """Catches a key that was renamed, dropped, or added without a word in docs/fit.md."""
+    text = (Path(__file__).resolve().parents[2] / "docs" / "fit.md").read_text("utf-8")
+    section = text.partition("## The JSON object")[2].partition("## What is refused")[0]
+    documented = set(re.findall(r"`([a-z_0-9]+)`", section))
+    arguments = ["fit", str(table), str(table), "--model", "ggx", "factored", "--compare", "--json"]
+    assert main(arguments) == 0
+    printed = json.loads(capsys.readouterr().out)
+    ours = {each["model"]: each for each in printed["fits"]}
+    keys = set(printed) | set(ours["ggx"]) | set(ours["factored"]) | set(printed["comparison"][0])
+    keys |= set(ours["ggx"]["masked"]) | set(ours["ggx"]["parameters"]["alpha"])
+    keys |= set(ours["factored"]["tables"]["D"]) | set(ours["ggx"]["covariance"])
+    assert keys - documented == set()
+    assert documented - keys <= {"kind", "parameters", "text"}
+    matrix = np.array(ours["ggx"]["covariance"]["matrix"])
+    assert np.sqrt(matrix[0, 0]) == pytest.approx(ours["ggx"]["parameters"]["alpha"]["u"])
+    assert np.shape(ours["factored"]["tables"]["F"]["value"])[1] == 2
+    assert ours["ggx"]["cross_validation"] == pytest.approx(
+        np.sqrt(np.mean(np.square(ours["ggx"]["cross_validation_folds"]))), rel=0.1
+    )
+
+
+def test_what_is_not_fitted_is_counted(table, capsys):
+    """Catches samples that vanish without a word: those beyond the largest angle."""
+    arguments = ["fit", str(table), "--model", "lambert", "--max-theta-deg", "60"]
+    assert main([*arguments, "--json"]) == 0
+    (one,) = json.loads(capsys.readouterr().out)["fits"]
+    assert one["count"] + sum(one["masked"].values()) == 2 * 80
+    assert one["masked"]["beyond_max_theta"] > 0
+    assert main(arguments) == 0
+    assert f"{one['masked']['beyond_max_theta']} beyond --max-theta-deg" in capsys.readouterr().out
+
+
+def test_gross_errors_are_set_aside_and_counted(table, capsys):
+    """Catches a robust loss that does not reach the fit, and shapes that stay shared."""
+    text = table.read_text().splitlines()
+    rows = [line.split(",") for line in text]
+    for row in rows[5::16]:
+        row[4] = "9.0"
+    table.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    arguments = ["fit", str(table), "--model", "cook-torrance", "--json"]
+    found = []
+    for more in ([], ["--loss", "robust"], ["--loss", "robust", "--shape", "per-channel"]):
+        assert main([*arguments, *more]) == 0
+        found.append(json.loads(capsys.readouterr().out)["fits"][0])
+    plain, robust, own = found
+    assert abs(plain["parameters"]["m"]["value"] - 0.25) > 0.01
+    assert robust["parameters"]["m"]["value"] == pytest.approx(0.25, rel=1e-3)
+    assert robust["masked"]["gross_error"] >= 5
+    assert own["parameters"]["m"]["value"] == pytest.approx([0.25, 0.25], rel=1e-3)
+
+
+def test_pictures(table, tmp_path, capsys):
+    """Catches a picture that is not written, or two files' pictures under one name."""
+    other = tmp_path / "second" / table.name
+    other.parent.mkdir()
+    other.write_bytes(table.read_bytes())
+    folder = tmp_path / "pictures"
+    assert main(["fit", str(table), str(other), "--model", "lambert", "--plots", str(folder)]) == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["1-paint-lambert.png", "2-paint-lambert.png"]
+    assert str(folder) in capsys.readouterr().err
 
 
 def test_all_models_ranked_for_people(table, capsys):
