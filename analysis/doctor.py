@@ -9,37 +9,42 @@ share of its samples that lie above the horizon, and by how rare such a mistake 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis import formats
+from analysis.angle_table import AngleTable, table_of
 from analysis.doctor_evidence import Evidence, evidence
 from analysis.doctor_readings import Reading, Step, candidates
 from analysis.pairing import FEWEST_PAIRS, isotropic_key, reciprocal_difference
-from analysis.samples import make_samples
+from analysis.samples import make_samples, read
 from rig.angles import wrap
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     import xarray as xr
 
-    from analysis.angle_table import AngleTable
-
 Array = NDArray[np.float64]
 
-MOST_SAMPLES = 1500
+MOST_SAMPLES = 1000
+SCREENED = 250
+"""Samples on which all readings are weighed first."""
+KEPT = 8
+"""Readings, best first, that are weighed again on all samples."""
 INDEPENDENT = 100.0
 """Samples that the evidence counts as independent, at most: neighbours share what no model describes."""
 LOBE_INDEPENDENT = 40.0
 """The same for the deviation from the best lobe, which is broader."""
 LOBE_KNOWN = 0.2
 """RMS about the best lobe below which no reading is better for it: no surface follows a formula so far."""
-CLEAR_NOISE = 0.18
+CLEAR_NOISE = 0.2
 """RMS of what is neither lobe nor smooth beyond which the odds shrink with its square: no apt model."""
-DECIDED = float(np.log(1000.0))
+DECIDED = float(np.log(200.0))
 """Logarithm of the odds at which the evidence decides."""
 FEWEST = 20
 MOST_IMPOSSIBLE, ALLOWED_IMPOSSIBLE, PER_IMPOSSIBLE = 0.3, 0.02, 600.0
@@ -49,7 +54,8 @@ NARROW, NARROW_COST = float(np.radians(3.0)), 25.0
 COMPARED = float(np.radians(82.0))
 FAVOUR = (2.0, 0.0, -4.0)
 """Logarithm of the prior odds by the number of steps: files are mostly what they say."""
-RARE = {Step.WITH_COS_I: -1.0, Step.OVER_COS_I: -3.0}
+RARE = {Step.WITH_COS_I: -2.0, Step.OVER_COS_I: -5.0}
+"""Logarithm of the prior odds of rare mistakes: nobody divides by the light's cosine twice."""
 SAME = 1e-6
 NOISE_FLOOR = 0.02
 """Relative standard uncertainty that every value has at least."""
@@ -116,6 +122,31 @@ class Diagnosis:
         return "the evidence does not decide between: " + "; ".join(r.reading.words for r in self.open)
 
 
+def declared_table(path: Path, options: dict[str, Any]) -> AngleTable:
+    """Return a file's angles as its format declares them, whether or not they make sense.
+
+    Formats that hold angles in columns give them as they are; of others the directions are taken.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or a session's folder.
+    options : dict
+        What the format offers, see `analysis.samples.read`.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read.
+    """
+    if not path.is_dir() and not any(value not in {None, False} for value in options.values()):
+        module = formats.recognise(path)
+        declared: AngleTable | None = module.declared(path) if hasattr(module, "declared") else None
+        if declared is not None:
+            return declared
+    return table_of(read(path, **options))
+
+
 def diagnose(table: AngleTable) -> Diagnosis:
     """Rank the readings of a table.
 
@@ -131,16 +162,12 @@ def diagnose(table: AngleTable) -> Diagnosis:
         Without readings where fewer than 20 samples are left.
     """
     few, weights = _thinned(table)
-    weighed = []
-    for same in _grouped(few, candidates()):
-        entry = _weigh(same, few, weights)
-        if entry is not None:
-            weighed.append(entry)
+    weighed = _weighed(_grouped(few, candidates()), few, weights, every=len(weights) // SCREENED)
+    weighed = _weighed([[each.reading, *each.same] for each in weighed[:KEPT]], few, weights)
     if not weighed:
         return Diagnosis((), len(weights))
-    clearest = max(weighed, key=lambda each: each.log_odds).evidence.noise_rms
+    clearest = weighed[0].evidence.noise_rms
     trust = min(1.0, (CLEAR_NOISE / max(clearest, 1e-9)) ** 2)
-    weighed.sort(key=lambda each: -each.log_odds)
     best = weighed[0].log_odds
     ranked = (replace(each, log_odds=trust * (each.log_odds - best)) for each in weighed)
     return Diagnosis(tuple(ranked), len(weights))
@@ -199,6 +226,15 @@ def _thinned(table: AngleTable) -> tuple[AngleTable, Array]:
     few = replace(table.rows(good), f_r=value[good][:, None])
     variance = NOISE_FLOOR**2 + np.square(floor / value[good])
     return few, np.asarray(NOISE_FLOOR**2 / variance)
+
+
+def _weighed(
+    groups: Sequence[Sequence[Reading]], table: AngleTable, weights: Array, every: int = 1
+) -> list[Ranked]:
+    """Weigh readings on every n-th sample; best first, without those that are impossible."""
+    rows = np.arange(0, len(weights), max(every, 1))
+    found = [_weigh(same, table.rows(rows), weights[rows]) for same in groups]
+    return sorted((each for each in found if each is not None), key=lambda each: -each.log_odds)
 
 
 def _weigh(same: Sequence[Reading], table: AngleTable, weights: Array) -> Ranked | None:

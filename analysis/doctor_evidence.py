@@ -7,7 +7,8 @@ peak, where it has one, at the mirror direction. So ln f is taken as
 
 with G a lobe of facets, chosen from a list, and s a Gaussian process of angles that do not change when light
 and view are exchanged or mirrored (Rusinkiewicz 1998). What is not reciprocal, symmetric or smooth goes into
-the noise; a lobe in the wrong place has to be made up for by s. The evidence is the process's marginal likelihood
+the noise; a lobe in the wrong place has to be made up for by s. In place of both terms there may be a rough
+diffuser, which sends light back (Oren & Nayar 1994). The evidence is the process's marginal likelihood
 (Rasmussen & Williams 2006, equation 2.30) with the noise's size profiled and few centres in place of all
 samples (their section 8.3.2). A factor on the values is a shift of ln f, so that readings with and without a
 cosine compare.
@@ -34,6 +35,8 @@ LOBES_OF = (("ggx", "alpha"), ("cook-torrance-schlick", "m"))
 """Families of lobes: long tails and short ones, each with the name of its width."""
 ALPHAS = (0.008, 0.02, 0.05, 0.1, 0.2, 0.35, 0.6)
 FRESNEL = (0.04, 0.5)
+ROUGHNESS = (0.2, 0.4, 0.7)
+"""Slopes of the facets of rough diffusers, radians."""
 RATIOS = tuple(10.0 ** np.arange(-2.0, 3.1, 0.5))
 """ks over kd of the lobes that are tried."""
 LENGTHS = (0.5, 1.0, 2.0)
@@ -105,6 +108,7 @@ def _lobes(wi: Array, wo: Array) -> Array:
             for f0 in FRESNEL:
                 lobe = MODELS[model](**{width: alpha, "f0": f0}).basis_at(geometry)["ks"][:, 0]
                 columns += [np.log(1.0 / np.pi + ratio * lobe) for ratio in RATIOS]
+    columns += [np.log(MODELS["oren-nayar"](kd=1.0, sigma_rad=s).evaluate(wi, wo)[:, 0]) for s in ROUGHNESS]
     return np.stack(columns, axis=1)
 
 

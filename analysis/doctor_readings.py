@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.angles import direction_to_spherical, rotation, spherical_to_direction, wrap
+from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -173,6 +174,22 @@ DIRECTIONS = (
     Step.UNTURNED,
 )
 COSINES = (Step.WITH_COS_O, Step.OVER_COS_O, Step.WITH_COS_I, Step.OVER_COS_I)
+
+
+def reading_of(name: str) -> Reading:
+    """Return the reading of a name, steps joined by `+`.
+
+    Raises
+    ------
+    BadInput
+        If a step is unknown.
+    """
+    known = {step.value: step for step in Step}
+    words = [] if name == Reading().name else name.split("+")
+    for word in words:
+        if word not in known:
+            raise BadInput(f"unknown reading '{word}'", where="--reading", todo=f"known: {', '.join(known)}")
+    return Reading(tuple(known[word] for word in words))
 
 
 def candidates() -> list[Reading]:

@@ -1,9 +1,9 @@
 """Samples that a person rejects: a flag in the file, and a log of who, when and why.
 
 The log is never shortened: variable `rejection_log`, one JSON text an entry: `number`, `action` (reject or
-restore), `date` (ISO 8601, UTC), `author`, `reason`, and of a rejection `selection` (as it was asked for), `samples` (their
-numbers in the file) and `channels`; of a restoration `of`, the number that it takes back. The flag
-`REJECTED` of a value is set while any rejection of it stands. Nothing else of the file changes.
+restore), `date` (ISO 8601, UTC), `author`, `reason`, and of a rejection `selection` (as it was asked for),
+`samples` (their numbers in the file) and `channels`; of a restoration `of`, the number that it takes back.
+The flag `REJECTED` of a value is set while any rejection of it stands. Nothing else of the file changes.
 """
 
 from __future__ import annotations

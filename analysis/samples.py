@@ -293,6 +293,15 @@ def select(
     return samples
 
 
+def channel_numbers(
+    samples: xr.Dataset, wavelength_nm: Sequence[float] | None, *, where: str = "samples"
+) -> list[int]:
+    """Return the indices of the channels of some wavelengths, all for None; raises as `select`."""
+    if wavelength_nm is None:
+        return list(range(samples.sizes["channel"]))
+    return _wavelength_indices(samples, wavelength_nm, where)
+
+
 def _wavelength_indices(samples: xr.Dataset, wanted: Sequence[float], where: str) -> list[int]:
     if "wavelength_nm" not in samples.coords:
         names = ", ".join(str(name) for name in samples["channel"].to_numpy())

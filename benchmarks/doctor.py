@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEEDS = 200
 RIGHT_BAR, WRONG_BAR = 0.95, 0.01
+MISTAKES = tuple(step for step in Step if step is not Step.OVER_COS_I)
+"""What laboratories get wrong; values divided by the light's cosine once too often have not been seen."""
 TWO_MISTAKES = 0.15
 FEWEST_KEPT = 600
 MATERIALS = ("Alu sandgestrahlt", "Edelstahl gebürstet", "Kupfer", "Referenzlack (Rau)")
@@ -100,7 +102,7 @@ def corrupted(name: str, random: np.random.Generator) -> tuple[AngleTable, Readi
     table = table.rows((random.random(len(table.f_r)) < share) & table.possible())
     noise = random.uniform(0.0, 0.03) * random.standard_normal(table.f_r.shape)
     table = replace(table, f_r=table.f_r * np.exp(noise))
-    steps = [Step(random.choice([step.value for step in Step]))]
+    steps = [Step(random.choice([step.value for step in MISTAKES]))]
     if steps[0] not in COSINES and random.random() < TWO_MISTAKES:
         steps.append(Step(random.choice([Step.WITH_COS_O.value, Step.OVER_COS_O.value])))
     mistake = Reading(tuple(steps))
