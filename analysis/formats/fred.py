@@ -16,10 +16,12 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from analysis.formats.loss import Loss, unchanged
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
-from rig.angles import spherical_to_direction
+from rig.angles import direction_to_spherical, spherical_to_direction
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -27,9 +29,13 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+Array = NDArray[np.float64]
+
 NAME = "FRED text"
+SUFFIX = ".fred.txt"
 OPTIONS: tuple[str, ...] = ()
 OPEN_END = True
+DECIMALS = 9
 COLUMNS = ("theta_s", "phi_s", "f")
 INCIDENCE = ("theta_i", "phi_i")
 _START = re.compile(rb"\A(?:\xef\xbb\xbf)?type[ \t]+bsdf_data\b", re.IGNORECASE)
@@ -94,6 +100,52 @@ def read(path: Path) -> xr.Dataset:
         channels=["BRDF"],
         source=path.name,
     )
+
+
+def write(samples: xr.Dataset, path: Path) -> Loss:
+    """Write one channel's samples as they are; those without a value or with a flag are left out.
+
+    Raises
+    ------
+    BadInput
+        If there is more than one channel, or no sample to write.
+    """
+    if samples.sizes["channel"] != 1:
+        raise BadInput(
+            f"FRED holds one channel, here are {samples.sizes['channel']}",
+            where=str(path),
+            todo="select one wavelength",
+        )
+    value = samples["f_r"].to_numpy()[:, 0]
+    usable = np.isfinite(value) & (samples["flags"].to_numpy()[:, 0] == 0)
+    if not usable.any():
+        raise BadInput("has no sample to write", where=str(path), todo="check the flags")
+    theta_i, phi_i = direction_to_spherical(samples["wi"].to_numpy()[usable])
+    theta_s, phi_s = direction_to_spherical(samples["wo"].to_numpy()[usable])
+    table = np.stack(
+        [
+            np.round(np.degrees(theta_i), DECIMALS),
+            _turn_deg(phi_i + np.pi),
+            np.round(np.degrees(theta_s), DECIMALS),
+            np.where(theta_s == 0.0, 0.0, _turn_deg(phi_s)),
+            value[usable],
+        ],
+        axis=-1,
+    )
+    lines = ["type bsdf_data", "format angles=deg bsdf=value scale=1"]
+    incidence: tuple[float, ...] = ()
+    for row in table[np.lexsort(table[:, 3::-1].T)].tolist():
+        if tuple(row[:2]) != incidence:
+            incidence = tuple(row[:2])
+            lines.append("\t".join(f"{angle:.12g}" for angle in incidence))
+        lines.append("\t".join([f"{row[2]:.12g}", f"{row[3]:.12g}", repr(row[4])]))
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return unchanged(samples, len(table))
+
+
+def _turn_deg(angle: Array) -> Array:
+    """Bring azimuths into [0, 360) degrees."""
+    return np.mod(np.round(np.degrees(angle), DECIMALS), 360.0)
 
 
 def _header(text: str, where: str) -> tuple[float, float]:

@@ -45,6 +45,8 @@ MOST_CELLS = 20_000_000
 AZIMUTHS_DEG = np.arange(0.0, 181.0, 10.0)
 RADIALS_DEG = np.array([0, 1, 2, 3.5, 5, 7.5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 90, 105, 120, 140, 160])
 SAME_ANGLE_DEG = 1e-3
+FEWEST_OF_CELLS = 3
+"""Samples stand on a grid of their own if it has at most so many cells for each of them."""
 HORIZON = 1e-9
 _WORDS = re.compile(rb"^[ \t]*(?:AngleOfIncidence|ScatterRadial)[ \t]", re.MULTILINE)
 
@@ -63,6 +65,13 @@ class Grid(NamedTuple):
     incidence_deg: Array
     azimuth_deg: Array
     radial_deg: Array
+
+
+class Lists(NamedTuple):
+    """The angles of a written grid, in radians."""
+
+    azimuth: Array
+    radial: Array
 
 
 def sniff(head: bytes) -> bool:
@@ -187,9 +196,10 @@ def _channel(words: Words, name: str, shape: tuple[int, ...]) -> Array:
 def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write one channel as a plane-symmetric grid; what the grid loses is told in the file's comments.
 
-    The sample is taken as isotropic and mirror-symmetric: azimuths are folded onto 0 to 180 deg. Each
-    incidence is interpolated linearly between its samples (in the mirror direction's azimuthal projection);
-    outside their hull cells are 0, as the format wants it.
+    The sample is taken as isotropic and mirror-symmetric: azimuths are folded onto 0 to 180 deg. Samples that
+    stand on such a grid keep it, with 0 in cells that have none. Else each incidence is interpolated linearly
+    between its samples (in the mirror direction's azimuthal projection); outside their hull cells are 0, as
+    the format wants it.
 
     Raises
     ------
@@ -207,6 +217,8 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     theta_i, phi_i = direction_to_spherical(samples["wi"].to_numpy()[usable])
     azimuth, radial = _specular_angles(theta_i, phi_i, samples["wo"].to_numpy()[usable])
     incidences = _distinct(np.degrees(theta_i))
+    own = _own_lists(azimuth, radial, incidences.size)
+    lists = own or Lists(np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG))
     tables, back, filled = [], np.empty_like(value), 0
     for incidence in incidences:
         chosen = np.abs(np.degrees(theta_i) - incidence) <= SAME_ANGLE_DEG
@@ -216,14 +228,15 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
                 where=str(path),
                 todo="leave that incidence out or measure on a grid",
             )
-        table, outside = _resampled(azimuth[chosen], radial[chosen], value[chosen])
-        back[chosen] = _read_back(azimuth[chosen], radial[chosen], table)
+        place = _placed if own else _resampled
+        table, outside = place(azimuth[chosen], radial[chosen], value[chosen], lists)
+        back[chosen] = _read_back(azimuth[chosen], radial[chosen], table, lists)
         tables.append(table)
-        filled += int(np.count_nonzero(outside & _seen(incidence)))
-    cells = sum(int(np.count_nonzero(_seen(incidence))) for incidence in incidences)
+        filled += int(np.count_nonzero(outside & _seen(incidence, lists)))
+    cells = sum(int(np.count_nonzero(_seen(incidence, lists))) for incidence in incidences)
     wi, wo = (samples[name].to_numpy()[usable] for name in ("wi", "wo"))
     loss = compared(samples, wi, wo, value[:, None], back[:, None], cells=cells, filled=filled)
-    path.write_text(_page(samples, incidences, tables, loss), encoding="utf-8")
+    path.write_text(_page(samples, incidences, tables, lists, loss), encoding="utf-8")
     return loss
 
 
@@ -248,36 +261,63 @@ def _plane(azimuth: Array, radial: Array) -> Array:
     return np.stack([radial * np.cos(azimuth), radial * np.sin(azimuth)], axis=-1)
 
 
-def _seen(incidence_deg: float) -> NDArray[np.bool_]:
+def _own_lists(azimuth: Array, radial: Array, incidences: int) -> Lists | None:
+    """Return the grid that the samples stand on, from azimuth 0 to pi and from radial 0; None if on none."""
+    around = azimuth[radial > np.radians(SAME_ANGLE_DEG)]
+    if not around.size:
+        return None
+    lists = Lists(*(np.radians(_distinct(np.degrees(angles))) for angles in (around, radial)))
+    cells = lists.azimuth.size * lists.radial.size * incidences
+    few = lists.azimuth.size > 1 and cells <= FEWEST_OF_CELLS * len(radial)
+    ends = (lists.radial[0], *lists.azimuth[[0, -1]] - [0.0, np.pi]) if few else ()
+    return lists if few and np.all(np.abs(ends) <= np.radians(SAME_ANGLE_DEG)) else None
+
+
+def _placed(azimuth: Array, radial: Array, value: Array, lists: Lists) -> tuple[Array, NDArray[np.bool_]]:
+    """Put one incidence's samples on their own grid (azimuths, radials); 0 in cells without, and where."""
+    slack = np.radians(SAME_ANGLE_DEG)
+    here = np.abs(azimuth[:, None, None] - lists.azimuth[:, None]) <= slack
+    here = (here | (lists.radial <= slack)) & (np.abs(radial[:, None, None] - lists.radial) <= slack)
+    count = here.sum(axis=0)
+    table = np.einsum("nar,n->ar", here, value) / np.maximum(count, 1)
+    return table, count == 0
+
+
+def _seen(incidence_deg: float, lists: Lists) -> NDArray[np.bool_]:
     """Which cells of the grid lie above the horizon; shape (azimuths, radials)."""
-    azimuth, radial = np.radians(AZIMUTHS_DEG)[:, None], np.radians(RADIALS_DEG)
-    return np.asarray(directions(np.radians(incidence_deg), azimuth, radial)[..., 2] > HORIZON)
+    wo = directions(np.radians(incidence_deg), lists.azimuth[:, None], lists.radial)
+    return np.asarray(wo[..., 2] > HORIZON)
 
 
-def _resampled(azimuth: Array, radial: Array, value: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Interpolate one incidence on the grid (azimuths, radials); 0 outside of the samples, and where that is."""
+def _resampled(azimuth: Array, radial: Array, value: Array, lists: Lists) -> tuple[Array, NDArray[np.bool_]]:
+    """Interpolate one incidence on the grid (azimuths, radials); 0 outside of the samples, and where."""
     from scipy.interpolate import LinearNDInterpolator
 
     # Both sides of the plane of incidence, so that the hull has no edge along it.
     points = np.concatenate([_plane(azimuth, radial), _plane(-azimuth, radial)])
     points, first = np.unique(np.round(points, 9), axis=0, return_index=True)
     interpolate = LinearNDInterpolator(points, np.concatenate([value, value])[first])
-    grid = np.meshgrid(np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG), indexing="ij")
+    grid = np.meshgrid(*lists, indexing="ij")
     table = np.asarray(interpolate(_plane(*grid)), dtype=np.float64)
     outside = np.isnan(table)
     return np.where(outside, 0.0, table), outside
 
 
-def _read_back(azimuth: Array, radial: Array, table: Array) -> Array:
+def _read_back(azimuth: Array, radial: Array, table: Array, lists: Lists) -> Array:
     """Give the grid's value at each sample, linearly; 0 beyond the grid."""
     from scipy.interpolate import RegularGridInterpolator
 
-    lists = np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG)
     back = RegularGridInterpolator(lists, table, bounds_error=False, fill_value=0.0)
-    return np.asarray(back(np.stack([azimuth, radial], axis=-1)))
+    # What stands on the last line of the grid, but for rounding, is not beyond it.
+    slack = np.radians(SAME_ANGLE_DEG)
+    onto = [
+        np.where(np.abs(angle - listed[-1]) <= slack, listed[-1], angle)
+        for angle, listed in zip((azimuth, radial), lists, strict=True)
+    ]
+    return np.asarray(back(np.stack(onto, axis=-1)))
 
 
-def _page(samples: xr.Dataset, incidences: Array, tables: list[Array], loss: Loss) -> str:
+def _page(samples: xr.Dataset, incidences: Array, tables: list[Array], lists: Lists, loss: Loss) -> str:
     lines = [
         f"# samples: {str(samples.attrs.get('source', '')).strip()[:200]}",
         f"# channel: {samples['channel'].to_numpy()[0]}",
@@ -289,15 +329,15 @@ def _page(samples: xr.Dataset, incidences: Array, tables: list[Array], loss: Los
         "ScatterType\tBRDF",
         *_list("SampleRotation", np.zeros(1)),
         *_list("AngleOfIncidence", incidences),
-        *_list("ScatterAzimuth", AZIMUTHS_DEG),
-        *_list("ScatterRadial", RADIALS_DEG),
+        *_list("ScatterAzimuth", np.round(np.degrees(lists.azimuth), 6)),
+        *_list("ScatterRadial", np.round(np.degrees(lists.radial), 6)),
         "",
         "Monochrome",
         "DataBegin",
     ]
     for incidence, table in zip(incidences, tables, strict=True):
-        lines.append(f"TIS\t{_tis(float(np.radians(incidence)), table):.6f}")
-        lines += ["\t".join(f"{cell:.6e}" for cell in row) for row in table]
+        lines.append(f"TIS\t{_tis(float(np.radians(incidence)), table, lists):.6f}")
+        lines += ["\t".join(f"{cell:.8e}" for cell in row) for row in table]
     return "\n".join([*lines, "DataEnd", ""])
 
 
@@ -305,9 +345,9 @@ def _list(name: str, angles_deg: Array) -> list[str]:
     return [f"{name}\t{len(angles_deg)}", "\t".join(f"{angle:g}" for angle in angles_deg)]
 
 
-def _tis(theta_i: float, table: Array) -> float:
+def _tis(theta_i: float, table: Array, lists: Lists) -> float:
     """Return the total integrated scatter of one table: the integral of f cos(theta_o) over directions."""
-    azimuth, radial = np.radians(AZIMUTHS_DEG), np.radians(RADIALS_DEG)
+    azimuth, radial = lists
     cosine = directions(np.asarray(theta_i), azimuth[:, None], radial[None, :])[..., 2]
     inner = np.trapezoid(table * np.clip(cosine, 0.0, None) * np.sin(radial), radial, axis=1)
     return float(2.0 * np.trapezoid(inner, azimuth))

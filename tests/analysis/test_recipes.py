@@ -28,7 +28,7 @@ from analysis.recipes.steps import (
     ShadowCut,
     difference_noise,
 )
-from analysis.samples import read
+from analysis.samples import read, write
 from benchmarks import data as bench
 from gonio.cli import main
 from rig.errors import BadInput
@@ -78,6 +78,44 @@ def test_no_cell_more_and_no_cell_less(shared_data):
     theirs = bench._cells(read(bench.PUBLISHED / f"{table}.txt"))
     assert len(ours) == len(theirs) == 1144
     assert {cell for cell, _ in ours} == {cell for cell, _ in theirs}
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("label", bench.SAMPLES)
+def test_the_published_file_itself(shared_data, tmp_path, label):
+    """Catches a FRED file that is not theirs to the last printed digit: angles, order, cells and values."""
+    table, files = bench.SAMPLES[label]
+    out = tmp_path / "out.fred.txt"
+    told = write(bench._reduced(files, "rt300s-fred"), out)
+    lines = []
+    for line in out.read_text("utf-8").splitlines():
+        words = line.split("\t")
+        lines.append("\t".join([*words[:2], f"{float(words[2]):.6f}"]) if len(words) == 3 else line)
+    assert lines == (bench.PUBLISHED / f"{table}.txt").read_text("utf-8").splitlines()
+    assert told.samples == 1144
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("label", bench.SAMPLES)
+def test_the_published_grid_itself(shared_data, tmp_path, label):
+    """Catches a Zemax file on another grid than the samples', or with cells that have no sample filled."""
+    table, files = bench.SAMPLES[label]
+    out = tmp_path / "out.zemax.bsdf"
+    told = write(bench._reduced(files, "rt300s-zemax"), out)
+    assert told.worst_relative < 1e-6
+
+    def lines_of(path):
+        lines = path.read_text("utf-8").splitlines()
+        rows = [line.split() for line in lines[lines.index("DataBegin") + 1 : lines.index("DataEnd")]]
+        lists = lines[lines.index("SampleRotation\t1") : lines.index("Monochrome")]
+        return lists, np.array([row for row in rows if row[0] != "TIS"], dtype=float)
+
+    (lists, ours), (their_lists, theirs) = (
+        lines_of(path) for path in (out, bench.PUBLISHED / f"{table}.bsdf")
+    )
+    assert lists == their_lists
+    np.testing.assert_array_equal(ours == 0.0, theirs == 0.0)
+    np.testing.assert_allclose(ours, theirs, rtol=5.01e-4)
 
 
 @pytest.mark.realdata
