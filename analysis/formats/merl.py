@@ -18,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, compared
-from analysis.formats.scattered import Scattered, Usable, usable
+from analysis.formats.scattered import Usable, interpolant_of, usable
 from analysis.samples import make_samples
-from rig.angles import from_half_difference, half_difference
+from rig.angles import from_half_difference, half_difference, unit
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import xarray as xr
+
+    from analysis.interpolation import Interpolant
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,13 @@ NONE = -1.0
 ON_CENTRE = 1e-6
 """How near to a bin's middle, in bins, a sample stands on it."""
 
-CHUNK = 200_000
+PHI_STEP = 5
+"""Azimuths, in bins, that are looked up: with the other angles fixed, f_r changes slowly along phi_d."""
+
+HORIZON_COSINE = 0.01
+"""f_r at the horizon is taken from so far above it."""
+
+CHUNK = 50_000
 
 
 def sniff(head: bytes) -> bool:
@@ -98,11 +106,11 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
         raise BadInput(
             f"{given.f_r.shape[1]} channels", where="samples", todo="this format holds three channels, or one"
         )
-    given = given._replace(f_r=np.broadcast_to(given.f_r, (len(given.f_r), 3)))
+    given = Usable(*given[:2], *(np.broadcast_to(column, (len(column), 3)) for column in given[2:]))
     planes, cells, filled = _on_bins(given)
     write_table(path, planes)
     back = evaluate(planes, given.wi, given.wo)
-    return compared(samples, *given, back, cells=cells, filled=filled)
+    return compared(samples, *given[:3], back, cells=cells, filled=filled)
 
 
 def read_table(path: Path) -> Array:
@@ -196,19 +204,44 @@ def _index(bins: Array, phi_bins: int) -> NDArray[np.intp]:
 
 
 def _on_bins(given: Usable) -> tuple[Array, int, int]:
-    """Return the stored numbers, the bins above the surface, and those that lie outside of the samples."""
+    """Return the stored numbers, the bins above the surface, and those without samples nearby."""
     flat = np.full((3, THETA_H * THETA_D * PHI_D[0]), NONE)
     place = _in_bins(given.wi, given.wo, PHI_D[0])
     if np.abs(place - np.floor(place) - 0.5).max() < ON_CENTRE:
         flat[:, _index(np.floor(place), PHI_D[0])] = np.maximum(given.f_r / SCALE, 0.0).T
         return flat.reshape(3, THETA_H, THETA_D, -1), len(given.wi), 0
-    scattered = Scattered(given)
+    return _interpolated(interpolant_of(given))
+
+
+def _interpolated(interpolant: Interpolant) -> tuple[Array, int, int]:
+    """Look up each fifth azimuth; what is between is linear, and half a turn leads back to the first."""
     wi, wo = bin_directions()
-    above = np.flatnonzero((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0))
-    outside = 0
-    for start in range(0, above.size, CHUNK):
-        rows = above[start : start + CHUNK]
-        f_r, beyond = scattered(wi[rows], wo[rows])
-        flat[:, rows] = np.maximum(f_r / SCALE, 0.0).T
-        outside += int(beyond.sum())
-    return flat.reshape(3, THETA_H, THETA_D, -1), int(above.size), outside
+    shape = (THETA_H, THETA_D, PHI_D[0])
+    above = ((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)).reshape(shape)
+    phi = np.arange(PHI_STEP // 2, PHI_D[0], PHI_STEP)
+    wanted = above.reshape(*shape[:2], -1, PHI_STEP).any(axis=-1)
+    wanted |= np.roll(wanted, 1, axis=-1) | np.roll(wanted, -1, axis=-1)
+    chosen = np.zeros(shape, dtype=bool)
+    chosen[..., phi] = wanted
+    rows = np.flatnonzero(chosen)
+    f_r, hole = np.zeros((*wanted.shape, 3)), np.zeros(wanted.shape, dtype=bool)
+    parts = [
+        interpolant(_lifted(wi[some]), _lifted(wo[some]))
+        for some in np.array_split(rows, max(1, rows.size // CHUNK))
+    ]
+    f_r[wanted] = np.concatenate([part.f_r for part in parts])
+    hole[wanted] = np.concatenate([part.hole for part in parts])
+    place = (np.arange(PHI_D[0]) - PHI_STEP // 2) / PHI_STEP
+    left = np.floor(place).astype(int)
+    right, part = (left + 1) % phi.size, (place - left)[:, None]
+    between = (1.0 - part) * f_r[:, :, left] + part * f_r[:, :, right]
+    planes = np.where(above[..., None], np.maximum(between / SCALE, 0.0), NONE)
+    nearest = hole[:, :, np.arange(PHI_D[0]) // PHI_STEP]
+    return np.moveaxis(planes, -1, 0), int(above.sum()), int((above & nearest).sum())
+
+
+def _lifted(directions: Array) -> Array:
+    """Directions, those below the horizon lifted above it."""
+    lifted = directions.copy()
+    lifted[:, 2] = np.maximum(lifted[:, 2], HORIZON_COSINE)
+    return unit(lifted)

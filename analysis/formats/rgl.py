@@ -7,23 +7,28 @@ interpolated onto. To keep a file's tensors as they are, use `analysis.formats.t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, compared
 from analysis.formats.rgl_table import Table
-from analysis.formats.scattered import Scattered, usable
+from analysis.formats.scattered import Usable, interpolant_of, usable
 from analysis.formats.tensor import MAGIC, read_tensors, write_tensors
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction, unit
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import xarray as xr
-    from numpy.typing import NDArray
+
+    from analysis.interpolation import Interpolant
+
+Array = NDArray[np.float64]
 
 NAME = "RGL .bsdf"
 OPTIONS = ("no_cosine",)
@@ -33,8 +38,17 @@ RGB = ("R", "G", "B")
 LOWEST_COSINE = 0.02
 """Nodes nearer to grazing view (88.9 deg) are left out: dividing by the cosine would only show rounding."""
 
-SIDE = 97
+SIDE = 193
 """Nodes of a written table along the half vector's azimuth and polar angle: Mitsuba wants a square."""
+
+AZIMUTH_STEP = 3
+"""Only each third azimuth is looked up, what is between is linear: surfaces change faster along theta_h."""
+
+LARGEST_STEP_RAD = np.radians(3.0)
+"""Step between the polar angles of the light in a written table; those of the samples are all among them."""
+
+HORIZON_COSINE = 0.01
+"""f_r at the horizon is taken from so far above it."""
 
 PROFILE_COLUMNS = 513
 
@@ -120,59 +134,138 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
     given = usable(samples)
     wavelengths = samples["wavelength_nm"].to_numpy() if "wavelength_nm" in samples.coords else None
     if wavelengths is None and given.f_r.shape[1] == 1:
-        given = given._replace(f_r=np.repeat(given.f_r, 3, axis=1))
+        given = Usable(*given[:2], *(np.repeat(column, 3, axis=1) for column in given[2:]))
     if wavelengths is None and given.f_r.shape[1] != 3:
         raise BadInput(
             f"{given.f_r.shape[1]} channels without wavelengths",
             where="samples",
             todo="this format holds one channel, three, or known wavelengths",
         )
-    scattered = Scattered(given)
-    theta_i = scattered.theta_i
-    values, cells, filled = _nodes(scattered, given.f_r.shape[1])
+    interpolant = interpolant_of(given)
+    profile = interpolant.trend.profile
+    grid = _nodes(interpolant, _incidences(interpolant))
+    tensors = tensors_of(
+        grid.theta_i, grid.values, profile, wavelengths, str(samples.attrs.get("source", ""))
+    )
+    table = Table(tensors, "samples")
+    back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
+    loss = compared(samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm",))
+    return tensors, loss
+
+
+def tensors_of(
+    theta_i: Array, values: Array, profile: Callable[[Array], Array], wavelengths: Array | None, source: str
+) -> dict[str, NDArray[Any]]:
+    """Put an isotropic table together.
+
+    Parameters
+    ----------
+    theta_i : ndarray, shape (T,)
+        Increasing polar angles of the light, in radians.
+    values : ndarray, shape (T, C, `SIDE`, `SIDE`)
+        f_r cos(theta_o) / profile at the half vectors of `half_vectors`.
+    profile : callable
+        Positive function of the half vector's radius sqrt(2 theta_h / pi).
+    wavelengths : ndarray, shape (C,), or None
+        In nm; None for linear RGB.
+    source : str
+        Where the values come from.
+    """
     tensors: dict[str, NDArray[Any]] = {
         "theta_i": theta_i.astype(np.float32),
         "phi_i": np.zeros(1, np.float32),
         "sigma": np.full((2, 2), 0.25, np.float32),
-        "ndf": np.tile(scattered.profile(np.linspace(0.0, 1.0, PROFILE_COLUMNS)), (2, 1)).astype(np.float32),
+        "ndf": np.tile(profile(np.linspace(0.0, 1.0, PROFILE_COLUMNS)), (2, 1)).astype(np.float32),
         "vndf": np.ones((1, theta_i.size, 2, 2), np.float32),
-        "luminance": _sampling_density(scattered, values)[None].astype(np.float32),
+        "luminance": _sampling_density(profile, values)[None].astype(np.float32),
         "rgb" if wavelengths is None else "spectra": values[None].astype(np.float32),
         "jacobian": np.ones(1, np.uint8),
-        "description": np.frombuffer(f"gonio: {samples.attrs.get('source', '')}".encode(), np.uint8),
+        "description": np.frombuffer(f"gonio: {source}".encode(), np.uint8),
     }
     if wavelengths is not None:
         tensors["wavelengths"] = wavelengths.astype(np.float32)
-    table = Table(tensors, "samples")
-    back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
-    loss = compared(samples, *given, back, cells=cells, filled=filled, kept=("wavelength_nm",))
-    return tensors, loss
+    return tensors
 
 
-def _nodes(scattered: Scattered, channels: int) -> tuple[NDArray[np.float64], int, int]:
-    """Values (theta_i, channels, rows, columns) over the profile; cells seen, and those without samples.
+def half_vectors() -> Array:
+    """Half vectors of each third azimuth of a written table, shape (65 `SIDE`, 3), the light at azimuth 0."""
+    radius, phi = np.linspace(0.0, 1.0, SIDE), np.linspace(-np.pi, np.pi, SIDE)[::AZIMUTH_STEP]
+    return spherical_to_direction(*np.meshgrid(radius**2 * (np.pi / 2.0), phi)).reshape(-1, 3)
 
-    Below the horizon the value keeps its f_r and the cosine its negative sign, so that what lies between a
-    node above and one below runs through zero where it should.
+
+def all_azimuths(values: Array) -> Array:
+    """Fill in the azimuths between those of `half_vectors`, shape (C, 65 `SIDE`) to (C, `SIDE`, `SIDE`)."""
+    coarse = values.reshape(len(values), -1, SIDE)
+    filled = np.empty((len(values), SIDE, SIDE))
+    filled[:, ::AZIMUTH_STEP] = coarse
+    for step in range(1, AZIMUTH_STEP):
+        part = step / AZIMUTH_STEP
+        filled[:, step::AZIMUTH_STEP] = (1.0 - part) * coarse[:, :-1] + part * coarse[:, 1:]
+    return filled
+
+
+class _Grid(NamedTuple):
+    """A table's polar angles and values; nodes above the surface, and those without samples nearby."""
+
+    theta_i: Array
+    values: Array
+    cells: int
+    filled: int
+
+
+def _incidences(interpolant: Interpolant) -> Array:
+    """Polar angles of the light: those of the samples' layers, and steps small enough between them."""
+    ends = interpolant.theta_i if interpolant.theta_i.size else np.array([0.0, interpolant.largest_theta_i])
+    steps = np.maximum(np.ceil(np.diff(ends) / LARGEST_STEP_RAD - 1e-6), 1).astype(int)
+    parts = [
+        np.linspace(below, above, step, endpoint=False)
+        for below, above, step in zip(ends[:-1], ends[1:], steps, strict=True)
+    ]
+    return np.concatenate([*parts, ends[-1:]])
+
+
+def _nodes(interpolant: Interpolant, theta_i: Array) -> _Grid:
+    """Values over the profile.
+
+    Below the horizon f_r is that of the horizon and the cosine keeps its negative sign, so that what lies
+    between a node above and one below runs through zero where it should.
     """
-    radius, phi = np.linspace(0.0, 1.0, SIDE), np.linspace(-np.pi, np.pi, SIDE)
-    half = spherical_to_direction(*np.meshgrid(radius**2 * (np.pi / 2.0), phi)).reshape(-1, 3)
-    values, outside, seen = [], 0, 0
-    for theta in scattered.theta_i:
-        wi = np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape)
-        wo = unit(2.0 * (wi * half).sum(-1, keepdims=True) * half - wi)
-        f_r, beyond = scattered(wi, wo)
-        profile = np.tile(scattered.profile(radius), SIDE)[:, None]
-        values.append((f_r * wo[:, 2:] / profile).T.reshape(channels, SIDE, SIDE))
-        outside += int((beyond & (wo[:, 2] > 0.0)).sum())
-        seen += int((wo[:, 2] > 0.0).sum())
-    return np.stack(values), seen, outside
+    half = half_vectors()
+    profile = np.resize(interpolant.trend.profile(np.linspace(0.0, 1.0, SIDE)), len(half))[:, None]
+    values, cells, filled = [], 0, 0
+    for theta in theta_i:
+        light = np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape)
+        camera = unit(2.0 * (light * half).sum(-1, keepdims=True) * half - light)
+        wanted = _near_the_horizon(camera[:, 2])
+        found = interpolant(light[wanted], _lifted(camera[wanted]))
+        f_r = np.zeros((len(half), found.f_r.shape[1]))
+        f_r[wanted] = found.f_r
+        values.append(all_azimuths((f_r * camera[:, 2:] / profile).T))
+        above = camera[wanted, 2] > 0.0
+        cells += int(np.count_nonzero(above))
+        filled += int(np.count_nonzero(found.hole & above))
+    return _Grid(theta_i, np.stack(values), cells, filled)
 
 
-def _sampling_density(scattered: Scattered, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _near_the_horizon(cosine: Array) -> NDArray[np.intp]:
+    """Nodes above the horizon and their neighbours below it: no others are looked up."""
+    above = cosine.reshape(-1, SIDE) > 0.0
+    grown = above.copy()
+    for axis in (0, 1):
+        for step in (-1, 1):
+            grown |= np.roll(grown, step, axis=axis)
+    return np.flatnonzero(grown)
+
+
+def _lifted(camera: Array) -> Array:
+    """Directions, those below the horizon lifted above it."""
+    lifted = camera.copy()
+    lifted[:, 2] = np.maximum(lifted[:, 2], HORIZON_COSINE)
+    return unit(lifted)
+
+
+def _sampling_density(profile: Callable[[Array], Array], values: Array) -> Array:
     """Density (theta_i, rows, columns) that renderers draw directions from: positive everywhere."""
-    brightness = values.mean(axis=1) * scattered.profile(np.linspace(0.0, 1.0, SIDE))
-    floored: NDArray[np.float64] = np.maximum(
-        brightness, 1e-3 * np.abs(brightness).max(axis=(1, 2), keepdims=True) + 1e-30
-    )
+    brightness = values.mean(axis=1) * profile(np.linspace(0.0, 1.0, SIDE))
+    floored: Array = np.maximum(brightness, 1e-3 * np.abs(brightness).max(axis=(1, 2), keepdims=True) + 1e-30)
     return floored
