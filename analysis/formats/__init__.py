@@ -156,12 +156,17 @@ def recognise(path: Path) -> ModuleType:
     if size > LARGEST_BYTES:
         raise BadInput(f"is {size / 1024**3:.1f} GB, more than gonio reads", where=str(path))
     with path.open("rb") as stream:
-        head = stream.read(HEAD_BYTES)
-    if looks_like_text(head):  # the formats look for lines, whichever way they end
-        head = head.removeprefix(BYTE_ORDER_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        head = clean_head(stream.read(HEAD_BYTES))
     modules = _modules()
     for module in modules:
         if module.sniff(head):
             return module
     known = ", ".join(str(module.NAME) for module in modules)
     raise BadInput("is of no format that gonio reads", where=str(path), todo=f"it reads {known}")
+
+
+def clean_head(head: bytes) -> bytes:
+    """Return the start of a text as formats sniff it: no mark, lines that end in LF; of others as it is."""
+    if not looks_like_text(head):
+        return head
+    return head.removeprefix(BYTE_ORDER_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")

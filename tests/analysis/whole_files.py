@@ -98,6 +98,8 @@ class Whole:
         Whether it is no text.
     counted : bool
         Whether the format says, anywhere, how many samples there are.
+    checked : bool
+        Whether checksums cover all values, so that nothing but the same samples may be read.
     """
 
     path: Path
@@ -105,6 +107,7 @@ class Whole:
     separator: bytes | None = None
     binary: bool = False
     counted: bool = True
+    checked: bool = False
 
 
 def make_whole_files(folder: Path) -> dict[str, Whole]:
@@ -141,7 +144,7 @@ def make_whole_files(folder: Path) -> dict[str, Whole]:
     files["ssdd"] = Whole(folder / "ssdd.dat", "ssdd")
     files["pab"] = Whole(folder / "pab.dat", "pab", counted=False)
     for name in ("netcdf", "npz", "rgl"):
-        files[name] = Whole(folder / f"{name}.dat", name, binary=True)
+        files[name] = Whole(folder / f"{name}.dat", name, binary=True, checked=name != "rgl")
     return files
 
 
