@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from analysis.recipes.steps import (
     difference_noise,
 )
 from analysis.samples import read, write
-from benchmarks import data as bench
+from benchmarks import data_rt300s as bench
 from gonio.cli import main
 from rig.errors import BadInput
 
@@ -148,6 +149,15 @@ def test_every_recipe_that_ships_says_whose_it_is():
         assert recipe.reads in {module.NAME for module in (rt300s, inplane)}
     assert [step.name for step in load("rt300s").step].count("floor_shift") == 0
     assert all(kind.__doc__ for kind in STEPS.values())
+
+
+def test_every_step_is_documented():
+    """Catches a step, parameter or recipe that docs/recipes.md does not tell of."""
+    page = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text("utf-8")
+    for name, kind in STEPS.items():
+        row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
+        assert all(f"`{key}`" in row for key in kind.model_fields if key != "name")
+    assert all(f"| `{name}` |" in page for name in shipped())
 
 
 @pytest.mark.parametrize(
