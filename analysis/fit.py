@@ -30,6 +30,7 @@ from analysis.layout import layout_of
 from analysis.metrics import goodness
 from analysis.models import MODELS
 from analysis.observations import Observations, check_enough, observe
+from analysis.plausibility import require_plausible
 from analysis.samples import select
 from analysis.state import Block, State
 from rig.errors import BadInput
@@ -167,7 +168,8 @@ def fit(
     Raises
     ------
     BadInput
-        If model, loss or shape is unknown, or the samples cannot determine the model.
+        If model, loss or shape is unknown, the samples cannot determine the model, or their numbers cannot be
+        what their units say (see `analysis.plausibility`).
     """
     if name not in MODELS:
         raise BadInput(f"unknown model '{name}'", todo=f"choose from {', '.join(MODELS)}")
@@ -176,7 +178,8 @@ def fit(
     if channels is not None:
         samples = samples.isel(channel=list(channels))
     data = observe(select(samples, max_theta_deg=max_theta_deg, where=name))
-    check_enough(data, MODELS[name])
+    check_enough(data, MODELS[name], shared=shape == Shape.SHARED)
+    require_plausible(data)
     discs = instrument_of(samples) if instrument else None
     goal = Goal(loss, data, shared=shape == Shape.SHARED, instrument=discs)
     blocks = goal.blocks(MODELS[name], data.total([]))

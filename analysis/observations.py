@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis import uncertainty
-from analysis.models.base import Geometry
+from analysis.models.base import Geometry, Kind
+from analysis.plausibility import require_unit_vectors
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -84,6 +85,7 @@ def observe(samples: xr.Dataset) -> Observations:
     """
     wi, wo = samples["wi"].to_numpy(), samples["wo"].to_numpy()
     f_r = np.asarray(samples["f_r"].to_numpy(), dtype=np.float64)
+    require_unit_vectors(wi, wo)
     geometry = Geometry(wi, wo)
     used = np.isfinite(f_r) & geometry.visible[:, None]
     if "flags" in samples:
@@ -102,8 +104,8 @@ def observe(samples: xr.Dataset) -> Observations:
     return Observations(samples, wi, wo, f_r, used, stated)
 
 
-def check_enough(data: Observations, model: type[Model]) -> None:
-    """Refuse what no model, or not this one, can be fitted to.
+def check_enough(data: Observations, model: type[Model], *, shared: bool = True) -> None:
+    """Refuse what no model, or not this one, can be fitted to; `shared` is whether channels share shapes.
 
     Raises
     ------
@@ -120,7 +122,11 @@ def check_enough(data: Observations, model: type[Model]) -> None:
     empty = np.flatnonzero(~data.used.any(axis=0))
     if empty.size:
         channel = data.channels[empty[0]]
-        raise BadInput(f"channel {channel} has no usable sample", where=name, todo="leave the channel out")
+        raise BadInput(
+            f"channel {channel} has no usable sample",
+            where=name,
+            todo="leave the channel out, or give it values, and uncertainties where others have them",
+        )
     if not np.any(data.f_r[data.used]):
         raise BadInput("every f_r is zero", where=name, todo="check the reduction and the channel")
     needed = len(model.PARAMETERS)
@@ -131,6 +137,16 @@ def check_enough(data: Observations, model: type[Model]) -> None:
             where=name,
             todo=f"measure at least {needed} pairs, or fit a model with fewer parameters",
         )
+    scales = sum(p.kind is not Kind.SHAPE for p in model.PARAMETERS)
+    each = scales if shared else needed
+    for channel, rows in zip(data.channels, data.used.T, strict=True):
+        found = _different_pairs(data.wi[rows], data.wo[rows], each)
+        if found < each:
+            raise BadInput(
+                f"channel {channel} has {found} different pairs of directions for {each} parameters",
+                where=name,
+                todo=f"measure at least {each} pairs in it, or leave the channel out",
+            )
 
 
 def _different_pairs(wi: Array, wo: Array, most: int) -> int:

@@ -68,7 +68,7 @@ def test_exact_data_give_the_parameters_back(name, loss):
 def test_the_default_loss():
     """Catches uncertainties that are there and not used."""
     assert fit(exact_samples("lambert"), "lambert").loss == "log"
-    assert fit(exact_samples("lambert", u_noise=0.1), "lambert").loss == "chi2"
+    assert fit(exact_samples("lambert", u_noise=0.01), "lambert").loss == "chi2"
 
 
 def measured(seed, poses=30, bins=25):
