@@ -205,9 +205,15 @@ def _scale(axes: Axes, values: Float) -> None:
 
 
 def _residuals(result: AnyFit) -> Float:
-    """Fit minus samples in the loss's measure, (N, C); 0 where unused."""
+    """Fit, as the instrument sees it, minus samples in the loss's measure, (N, C); 0 where unused."""
     geometry, loss = data_of(result)
-    f = np.broadcast_to(result.model.evaluate(geometry.wi, geometry.wo), loss.data.shape)
+    if isinstance(result, FactoredFit):
+        return loss.residual(result.model.evaluate(geometry.wi, geometry.wo))
+    f = np.empty(loss.data.shape)
+    for block in result.state.blocks:
+        best = block.solution
+        terms = block.problem.terms(best.shapes[None])
+        f[:, list(block.channels)] = terms.values(best.kd[None], best.ks[None])[0].T
     return loss.residual(f)
 
 

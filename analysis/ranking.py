@@ -90,8 +90,9 @@ def rank(
 def _judged(samples: xr.Dataset, name: str, options: dict[str, Any]) -> Candidate:
     if name != Factored.NAME:
         return judge(fit(samples, name, **options))
-    # The tables correct one lobe for all channels.
-    result = fit_factored(samples, **{key: value for key, value in options.items() if key != "shape"})
+    # The tables correct one lobe for all channels, and are of what the instrument saw.
+    given = {key: value for key, value in options.items() if key != "shape"}
+    result = fit_factored(samples, **given, instrument=False)
     score = (
         float(np.sqrt(np.average(result.squares, weights=result.weights))) if result.weights.size else np.nan
     )

@@ -1,4 +1,4 @@
-"""Sets what `gonio bench fit --json --plots docs/models` printed into `docs/models.md`, between its own heads.
+"""Sets what `gonio bench fit --json --plots docs/models` printed into `docs/models.md`, as a section.
 
     gonio bench fit --json --plots docs/models > numbers.json
     python -m benchmarks.fit_page docs numbers.json [MORE.json ...]
@@ -20,8 +20,8 @@ _SECTION = re.compile(rf"{HEAD}\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
 
 _TEXT = f"""{HEAD}
 
-Written by `python -m benchmarks.fit_page docs numbers.json` from what `gonio bench fit --json` printed. RMS is
-that of ln(1 + f cos(theta_i)); times are processor times on one core; the plain fit is
+Written by `python -m benchmarks.fit_page docs numbers.json` from what `gonio bench fit --json` printed. RMS
+is that of ln(1 + f cos(theta_i)); times are processor times on one core; the plain fit is
 `scipy.optimize.least_squares` with a numeric Jacobian from four starts, written in `benchmarks/fit_plain.py`.
 
 ![Error against time of fits to 20 materials, beside a plain fit](models/fit.png)

@@ -84,11 +84,12 @@ def plain_fit(samples: xr.Dataset, model: type[Model]) -> Outcome:
 
 def _start(parameter: Parameter, width: float) -> float:
     """Start of a shape: widths at the given one, exponents at theirs, all else at the default."""
+    value = parameter.default
     if parameter.name.endswith("exponent"):
-        return parameter.coordinate.forward(2.0 / width**2)
-    if parameter.coordinate is Coordinate.LOG:
-        return parameter.coordinate.forward(width)
-    return parameter.coordinate.forward(parameter.default)
+        value = 2.0 / width**2
+    elif parameter.coordinate is Coordinate.LOG:
+        value = width
+    return parameter.coordinate.forward(float(np.clip(value, *parameter.bounds)))
 
 
 def our_fit(samples: xr.Dataset, name: str) -> Outcome:

@@ -20,10 +20,14 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
+    import xarray as xr
+
     from analysis.comparison import Candidate
     from analysis.differences import Difference
 
 EXAMPLE = "gonio fit garnet_red.brdf --wavelength-nm 550 --model cook-torrance"
+
+MOST_APERTURE_DEG = 90.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -62,6 +66,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--max-theta-deg", type=float, metavar="T", help="leave out samples beyond this angle"
+    )
+    parser.add_argument(
+        "--aperture-deg",
+        nargs=2,
+        type=float,
+        metavar=("LIGHT", "CAMERA"),
+        help="full angles of light and camera aperture as seen from the sample, in place of the file's own; "
+        "the fit takes them out of narrow lobes; 0 0: takes nothing out",
     )
     parser.add_argument("--compare", action="store_true", help="set each parameter of all files side by side")
     parser.add_argument("--plots", metavar="FOLDER", help="write a picture of each fit there")
@@ -134,6 +146,8 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
 
     whole = select(read(file, blank=options.blank), wavelength_nm=options.wavelength_nm, where=file)
     require_degrees(whole, file)
+    if options.aperture_deg:
+        whole = _seen_through(whole, options.aperture_deg)
     samples = select(whole, max_theta_deg=options.max_theta_deg, where=file)
     left_out: dict[str, str] = {}
     try:
@@ -149,6 +163,20 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
         raise BadInput(str(error), where=file) from None
     channels = [str(channel) for channel in samples["channel"].to_numpy()]
     return _Fitted(file, channels, ranked, [masked(whole, samples, one.result) for one in ranked], left_out)
+
+
+def _seen_through(samples: xr.Dataset, aperture_deg: Sequence[float]) -> xr.Dataset:
+    """Give samples other solid angles of light and camera."""
+    import math
+
+    if not all(0.0 <= full < MOST_APERTURE_DEG for full in aperture_deg):
+        raise BadInput(
+            f"{aperture_deg[0]:g} and {aperture_deg[1]:g} are no full angles of light and camera",
+            where="--aperture-deg",
+            todo=f"give degrees from 0 to {MOST_APERTURE_DEG:g}",
+        )
+    light_sr, camera_sr = (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * a))) for a in aperture_deg)
+    return samples.assign_attrs(source_solid_angle_sr=light_sr, receiver_solid_angle_sr=camera_sr)
 
 
 def _engine_options(options: argparse.Namespace) -> dict[str, Any]:

@@ -107,6 +107,32 @@ def test_gross_errors_are_set_aside_and_counted(table, capsys):
     assert own["parameters"]["m"]["value"] == pytest.approx([0.25, 0.25], rel=1e-3)
 
 
+def test_apertures_are_taken_out_of_a_narrow_lobe(tmp_path, capsys):
+    """Catches an aperture that does not reach the fit, or full and half angles that are confused."""
+    from analysis.instrument import Instrument, instrument_of
+
+    seen = []
+    for angles in (["2", "3"], ["0", "0"]):
+        theta = np.radians(np.arange(20.0, 41.0, 0.5))
+        wi = spherical_to_direction(np.full_like(theta, np.radians(30.0)), np.full_like(theta, np.pi))
+        wo = spherical_to_direction(theta, np.zeros_like(theta))
+        f_r = MODELS["ggx"](kd=0.1, ks=0.8, alpha=0.03, f0=0.05).evaluate(wi, wo)
+        path = tmp_path / "narrow.csv"
+        write(make_samples(wi, wo, f_r), path)
+        assert main(["fit", str(path), "--model", "blinn-phong", "--aperture-deg", *angles, "--json"]) == 0
+        seen.append(json.loads(capsys.readouterr().out)["fits"][0]["parameters"]["exponent"]["value"])
+    # Without what the discs blur the lobe is sharper.
+    assert seen[0] > 1.05 * seen[1]
+    samples = make_samples(wi, wo, f_r)
+    from gonio.commands.fit import _seen_through
+
+    discs = instrument_of(_seen_through(samples, [2.0, 3.0]))
+    assert isinstance(discs, Instrument)
+    assert np.degrees([discs.source_rad, discs.receiver_rad]) == pytest.approx([1.0, 1.5])
+    assert main(["fit", str(path), "--aperture-deg", "2", "190"]) == 2
+    assert "--aperture-deg: 2 and 190 are no full angles" in capsys.readouterr().err
+
+
 def test_pictures(table, tmp_path, capsys):
     """Catches a picture that is not written, or two files' pictures under one name."""
     other = tmp_path / "second" / table.name
