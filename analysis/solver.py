@@ -1,4 +1,4 @@
-"""The search: shapes are scanned and refined, on few samples first; scales are solved for.
+"""The search: shapes are tried and refined, on few samples first; scales are solved for.
 
 Where samples are many, a subset of them, even along the half vector's angle, tells the basins apart and
 brings every start to within a small step of the bottom; only the last steps take all samples.
@@ -6,15 +6,16 @@ brings every start to within a small step of the bottom; only the last steps tak
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis import starts
 from analysis.descent import descend
 from analysis.equations import Linearised, solve_scales
+from analysis.slopes import mean_slope
 
 if TYPE_CHECKING:
     from analysis.losses import Loss
@@ -22,12 +23,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STARTS = 5
-"""Basins of the scan that are followed to their bottom."""
 SCANNED, FEW = 300, 800
-"""Samples that the scan, and the search from its best points, make do with."""
+"""Samples that a grid's scan, and the search from its best points, make do with."""
 SPARSE = 2000
-"""Fewer samples than this may be a coarse grid, where each matters: all are scanned."""
+"""Fewer samples than this may be a coarse grid, where each matters: all are scanned.
+
+Models of more shapes than a grid scans have basins that few samples decide, such as a narrow second lobe:
+their first steps take `FEW` samples, and their basins are followed on so many."""
+AT_ONCE = 128
+"""Points evaluated together: their arrays then stay in the cache."""
+FIRST_STEPS = 12
+"""Steps from each point that is tried, before most are dropped."""
 REWEIGHTED = 3
 """Times that the scan solves for scales under a loss that is not linear in f."""
 RIVAL = 1.5
@@ -78,10 +84,7 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     whole = Linearised(problem, loss.by_channel())
     if start is not None:
         return _refine(whole, [start], TOLERANCE)[0]
-    few = _some(problem, loss, FEW)
-    sparse = len(problem.geometry.wi) <= SPARSE
-    scanned = _some(problem, loss, SPARSE if sparse else SCANNED)
-    candidates = _distinct(_refine(few, _scan(scanned), ROUGH_TOLERANCE))
+    candidates = _candidates(problem, loss)
     rivals = [each for each in candidates if each.cost <= RIVAL * candidates[0].cost]
     if len(rivals) > 1:
         rivals = _refine(whole, rivals, ROUGH_TOLERANCE)
@@ -105,8 +108,8 @@ def follow(problem: Problem, loss: Loss, shapes: Array) -> list[Solution]:
     """
     whole = Linearised(problem, loss.by_channel())
     kd, ks = whole.linear_scales(problem.terms(shapes))
-    starts = [Solution(shapes[i], kd[i], ks[i], np.inf) for i in range(len(shapes))]
-    return _refine(whole, starts, TOLERANCE)
+    begin = [Solution(shapes[i], kd[i], ks[i], np.inf) for i in range(len(shapes))]
+    return _refine(whole, begin, TOLERANCE)
 
 
 def _some(problem: Problem, loss: Loss, count: int) -> Linearised:
@@ -118,41 +121,58 @@ def _some(problem: Problem, loss: Loss, count: int) -> Linearised:
     return Linearised(problem.some(rows), loss.by_channel(rows))
 
 
-def _scan(equations: Linearised) -> list[Solution]:
-    """Evaluate every combination of the parameters' scan values; return the local minima, best first."""
-    problem, loss = equations.problem, equations.loss
-    axes = [[p.coordinate.forward(value) for value in p.scan] for p in problem.shapes]
-    points = np.array(list(itertools.product(*axes)))
-    terms = problem.terms(points)
-    kd, ks = equations.linear_scales(terms)
-    for _ in range(0 if loss.linear else REWEIGHTED):
-        kd, ks = solve_scales(loss.secant(terms.values(kd, ks)), loss.data, terms.pair())
-    residual = loss.residual(terms.values(kd, ks))
-    cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
-    grid = cost.reshape([len(axis) for axis in axes])
-    lowest = [
-        flat
-        for flat, index in enumerate(np.ndindex(grid.shape))
-        if grid[index] <= grid[tuple(slice(max(i - 1, 0), i + 2) for i in index)].min()
-    ]
-    best = sorted(lowest, key=lambda flat: float(cost[flat]))[:STARTS]
-    return [Solution(points[i], kd[i], ks[i], float(cost[i])) for i in best]
+def _candidates(problem: Problem, loss: Loss) -> list[Solution]:
+    """Return a point near the bottom of each basin that may be the deepest."""
+    slope = mean_slope(problem.geometry, loss.data, loss.used)
+    count = len(problem.geometry.wi)
+    if len(problem.shapes) <= starts.GRID_SHAPES:
+        grid = starts.grid(problem, slope)
+        tried = _evaluate(_some(problem, loss, SPARSE if count <= SPARSE else SCANNED), grid.points)
+        chosen = [tried[i] for i in grid.basins(np.array([each.cost for each in tried]))]
+        return _distinct(_refine(_some(problem, loss, FEW), chosen, ROUGH_TOLERANCE))
+    scanned = _some(problem, loss, FEW)
+    tried = _apart(problem, _evaluate(scanned, starts.spread(problem, slope)), starts.TRIED)
+    tried = _refine(scanned, tried, ROUGH_TOLERANCE, most=FIRST_STEPS)
+    chosen = _apart(problem, tried, starts.KEPT * len(problem.shapes))
+    return _distinct(_refine(_some(problem, loss, SPARSE), chosen, ROUGH_TOLERANCE))
 
 
-def _refine(equations: Linearised, starts: list[Solution], tolerance: float) -> list[Solution]:
-    """Follow starts to the bottom, together; best first."""
+def _evaluate(equations: Linearised, points: Array) -> list[Solution]:
+    """Solve for the scales at points (M, S) of the search."""
+    loss, found = equations.loss, []
+    for shapes in np.array_split(points, -(-len(points) // AT_ONCE)):
+        terms = equations.problem.terms(shapes)
+        kd, ks = equations.linear_scales(terms)
+        for _ in range(0 if loss.linear else REWEIGHTED):
+            kd, ks = solve_scales(loss.secant(terms.values(kd, ks)), loss.data, terms.pair())
+        residual = loss.residual(terms.values(kd, ks))
+        cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
+        found += [Solution(*each, float(c)) for *each, c in zip(shapes, kd, ks, cost, strict=True)]
+    return found
+
+
+def _apart(problem: Problem, solutions: list[Solution], most: int) -> list[Solution]:
+    points = np.array([each.shapes for each in solutions])
+    cost = np.array([each.cost for each in solutions])
+    return [solutions[i] for i in starts.apart(problem, points, cost, most)]
+
+
+def _refine(
+    equations: Linearised, begin: list[Solution], tolerance: float, most: int = MOST_STEPS
+) -> list[Solution]:
+    """Follow starts to the bottom, together, or for some steps; best first."""
     problem, loss = equations.problem, equations.loss
-    shapes, low, high = np.array([s.shapes for s in starts]), *problem.bounds()
+    shapes, low, high = np.array([s.shapes for s in begin]), *problem.bounds()
     if loss.linear:
         if shapes.size:
-            found = descend(equations.shapes_alone, shapes, (low, high), tolerance=tolerance, most=MOST_STEPS)
+            found = descend(equations.shapes_alone, shapes, (low, high), tolerance=tolerance, most=most)
             shapes = found.x
         terms = problem.terms(shapes)
         kd, ks = equations.linear_scales(terms)
         residual = loss.residual(terms.values(kd, ks))
         cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
     else:
-        kd, ks = np.array([s.kd for s in starts]), np.array([s.ks for s in starts])
+        kd, ks = np.array([s.kd for s in begin]), np.array([s.ks for s in begin])
         size = equations.size(problem.terms(shapes).lobe)
         bottom, top = np.zeros(2 * problem.channels), np.full(2 * problem.channels, np.inf)
         x, cost = descend(
@@ -160,7 +180,7 @@ def _refine(equations: Linearised, starts: list[Solution], tolerance: float) -> 
             np.hstack([shapes, kd, ks * size]),
             (np.concatenate([low, bottom]), np.concatenate([high, top])),
             tolerance=tolerance,
-            most=MOST_STEPS,
+            most=most,
         )
         shapes, kd, s = equations.unpack(x)
         ks = s / equations.size(problem.terms(shapes).lobe)

@@ -22,6 +22,7 @@ B = Parameter(
     default=500.0,
     coordinate=Coordinate.LOG,
     scan=(5.0, 30.0, 200.0, 2e3, 3e4, 1e6),
+    of_slope=lambda slope: 2.0 / slope**2,
 )
 C = Parameter(
     "c",

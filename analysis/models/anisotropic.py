@@ -9,9 +9,11 @@ import numpy as np
 
 from analysis.models.base import KD, KS, Coordinate, Geometry, Kind, Lobe, Model, Parameter, product
 from analysis.models.ggx import F0
-from analysis.models.microfacet import Smith, correlated, facets_schlick
+from analysis.models.microfacet import Smith, beckmann_width, correlated, facets_schlick
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
     from analysis.models.base import Array
@@ -27,7 +29,7 @@ AXIS = Parameter(
 )
 
 
-def _width(name: str, default: float) -> Parameter:
+def _width(name: str, default: float, of_slope: Callable[[float], float]) -> Parameter:
     return Parameter(
         name,
         Kind.SHAPE,
@@ -36,11 +38,12 @@ def _width(name: str, default: float) -> Parameter:
         default=default,
         coordinate=Coordinate.LOG,
         scan=(0.02, 0.06, 0.15, 0.4),
+        of_slope=of_slope,
     )
 
 
-ALPHA_X, ALPHA_Y = _width("alpha_x", 0.3), _width("alpha_y", 0.1)
-M_X, M_Y = _width("m_x", 0.3), _width("m_y", 0.1)
+ALPHA_X, ALPHA_Y = _width("alpha_x", 0.3, float), _width("alpha_y", 0.1, float)
+M_X, M_Y = _width("m_x", 0.3, beckmann_width), _width("m_y", 0.1, beckmann_width)
 
 
 def _turned(x: Array, y: Array, axis: Array) -> tuple[Array, Array]:

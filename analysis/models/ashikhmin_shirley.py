@@ -10,7 +10,7 @@ import numpy as np
 from analysis.models.anisotropic import AXIS
 from analysis.models.base import KD, KS, Coordinate, Geometry, Kind, Lobe, OwnDiffuse, Parameter, product
 from analysis.models.ggx import F0
-from analysis.models.microfacet import facets_schlick
+from analysis.models.microfacet import beckmann_width, facets_schlick
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -27,6 +27,7 @@ def _exponent(name: str, default: float) -> Parameter:
         default=default,
         coordinate=Coordinate.LOG,
         scan=(3.0, 30.0, 300.0, 3000.0),
+        of_slope=lambda slope: 2.0 / beckmann_width(slope) ** 2,
     )
 
 

@@ -13,6 +13,8 @@ from analysis.models.geometry import Array, Geometry
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
 __all__ = [
@@ -100,6 +102,8 @@ class Parameter:
         Values from which a fit starts, spread so that every basin holds one.
     maximum : float
         Highest value with a meaning; above it the model refuses.
+    of_slope : callable, optional
+        Of a width: its value where the facets' mean absolute slope along a line is the argument.
     """
 
     name: str
@@ -111,6 +115,7 @@ class Parameter:
     coordinate: Coordinate = Coordinate.LINEAR
     scan: tuple[float, ...] = ()
     maximum: float = np.inf
+    of_slope: Callable[[float], float] | None = None
 
 
 KD = Parameter("kd", Kind.DIFFUSE_SCALE, (0.0, np.inf), 0.0, 0.5)
@@ -210,6 +215,24 @@ class Model(ABC):
     def channels(self) -> int:
         """Number of channels of the result."""
         return max(int(np.size(getattr(self, field.name))) for field in fields(self))
+
+    @classmethod
+    def likely(cls, shapes: dict[str, Array]) -> dict[str, Array]:
+        """Move shapes that are spread evenly within their bounds to where a fit had better begin.
+
+        Most models leave them. Where shapes have a meaning only together, evenly spread ones are mostly
+        surfaces that do not exist.
+
+        Parameters
+        ----------
+        shapes : dict of str to ndarray, shape (M,)
+            By name.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (M,)
+        """
+        return shapes
 
     @abstractmethod
     def lobe_at(self, geometry: Geometry) -> Lobe | None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from analysis.models.base import KD, KS, Array, Geometry, Lobe, Model, Parameter
-from analysis.models.phong import EXPONENT, cosine_power
+from analysis.models.microfacet import beckmann_width
+from analysis.models.phong import EXPONENT as MIRROR_EXPONENT
+from analysis.models.phong import cosine_power
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+EXPONENT = replace(MIRROR_EXPONENT, of_slope=lambda slope: 2.0 / beckmann_width(slope) ** 2)
 
 
 def normalisation(exponent: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.models.base import KD, KS, Coordinate, Geometry, Kind, Lobe, Model, Parameter
 from analysis.models.fresnel import dielectric_with_slope
-from analysis.models.microfacet import beckmann, v_groove_visibility
+from analysis.models.microfacet import beckmann, beckmann_width, v_groove_visibility
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ M = Parameter(
     default=0.2,
     coordinate=Coordinate.LOG,
     scan=(0.005, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4, 0.55, 0.8, 1.2, 2.0),
+    of_slope=beckmann_width,
 )
 IOR = Parameter(
     "ior",

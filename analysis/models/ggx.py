@@ -20,6 +20,7 @@ ALPHA = Parameter(
     default=0.2,
     coordinate=Coordinate.LOG,
     scan=(0.003, 0.007, 0.015, 0.03, 0.05, 0.08, 0.12, 0.18, 0.27, 0.4, 0.6, 1.0),
+    of_slope=float,
 )
 F0 = Parameter(
     "f0",

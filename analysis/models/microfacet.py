@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from analysis.models.base import Array, Geometry
 
 
+def beckmann_width(slope: float) -> float:
+    """Return Beckmann's m at a mean absolute slope of the facets along a line (Dupuy et al. 2015)."""
+    return float(np.sqrt(np.pi)) * slope
+
+
 def beckmann(tan2_h: Array, m: Array) -> tuple[Array, Array]:
     """Beckmann's distribution, normalised to a projected area of 1, and its derivative by m.
 

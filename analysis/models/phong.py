@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from analysis.models.base import KD, KS, Array, Coordinate, Geometry, Kind, Lobe, Model, Parameter
+from analysis.models.microfacet import beckmann_width
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -20,6 +21,8 @@ EXPONENT = Parameter(
     default=20.0,
     coordinate=Coordinate.LOG,
     scan=(0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1e3, 2e3, 5e3, 2e4, 1e5),
+    # The mirror direction turns twice as far as a facet: cos^n(2 x) is about Beckmann's with m^2 = 1/(2n).
+    of_slope=lambda slope: 0.5 / beckmann_width(slope) ** 2,
 )
 
 

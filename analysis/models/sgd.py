@@ -23,6 +23,7 @@ ALPHA = Parameter(
     default=0.1,
     coordinate=Coordinate.LOG,
     scan=(1e-4, 1e-3, 0.01, 0.05, 0.2, 0.6),
+    of_slope=float,
 )
 P = Parameter("p", Kind.SHAPE, bounds=(0.0, 2.0), minimum=-np.inf, default=0.5, scan=(0.3, 0.8))
 F1 = Parameter("f1", Kind.SHAPE, bounds=(-1.0, 1.0), minimum=-np.inf, default=0.0, scan=(0.0,))
@@ -40,14 +41,28 @@ THETA0 = Parameter(
     "theta0_rad", Kind.SHAPE, bounds=(-0.9, 1.3), minimum=-np.inf, default=-0.3, unit="rad", scan=(-0.3,)
 )
 K = Parameter(
-    "k", Kind.SHAPE, bounds=(2.0, 100.0), minimum=0.0, default=20.0, coordinate=Coordinate.LOG, scan=(20.0,)
+    "k",
+    Kind.SHAPE,
+    bounds=(2.0, 100.0),
+    minimum=0.0,
+    default=20.0,
+    coordinate=Coordinate.LOG,
+    scan=(2.5, 4.0, 8.0, 20.0),
 )
 LAM = Parameter(
-    "lam", Kind.SHAPE, bounds=(0.01, 100.0), minimum=1e-9, default=4.0, coordinate=Coordinate.LOG, scan=(4.0,)
+    "lam",
+    Kind.SHAPE,
+    bounds=(0.01, 100.0),
+    minimum=1e-9,
+    default=4.0,
+    coordinate=Coordinate.LOG,
+    scan=(1.0, 10.0, 100.0),
 )
 C = Parameter(
     "c", Kind.SHAPE, bounds=(1e-9, 10.0), minimum=0.0, default=1e-6, coordinate=Coordinate.LOG, scan=(1e-6,)
 )
+HORIZON_RAD = (1.4, 1.8)
+"""Angles at which a search begins with masking complete; beyond theta0's bounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +75,8 @@ class SGD(Model):
 
     D is 1 at its peak, and ks holds the published norm, which has pi alpha Gamma(1 - p, alpha) and
     e^alpha alpha^p in its denominator: ks is no albedo. The four parameters of G follow the masking that D
-    implies and are nearly degenerate: published sets run over 45 decades in c. Fit it to dense data only.
+    implies and are nearly degenerate: published sets run over 45 decades in c. Nothing keeps F from zero, or
+    below, where f1 cos_d is more than the rest, nor the albedo from growing. Fit it to dense data only.
 
     Parameters
     ----------
@@ -87,6 +103,15 @@ class SGD(Model):
 
     NAME: ClassVar[str] = "sgd"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (KD, KS, ALPHA, P, F0_ONE_START, F1, THETA0, K, LAM, C)
+
+    @classmethod
+    def likely(cls, shapes: dict[str, Array]) -> dict[str, Array]:
+        """Put c where G falls to zero about the horizon: anywhere else G is 1, or there is no lobe."""
+        bounds = C.bounds
+        share = np.log(shapes["c"] / bounds[0]) / np.log(bounds[1] / bounds[0])
+        foot = HORIZON_RAD[0] + share * (HORIZON_RAD[1] - HORIZON_RAD[0])
+        c = np.log1p(1.0 / shapes["lam"]) / np.power(foot - shapes["theta0_rad"], shapes["k"])
+        return shapes | {"c": np.clip(c, *bounds)}
 
     def lobe_at(self, geometry: Geometry) -> Lobe:
         """F D G G / (4 (N.L)(N.E)) and its derivatives by all shapes."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.models.base import KD, KS, Coordinate, Geometry, Kind, Lobe, Model, Parameter, product
 from analysis.models.cook_torrance import IOR
-from analysis.models.microfacet import facets_dielectric, v_groove_visibility
+from analysis.models.microfacet import beckmann_width, facets_dielectric, v_groove_visibility
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ HALF_WIDTH = Parameter(
     unit="rad",
     coordinate=Coordinate.LOG,
     scan=(0.005, 0.012, 0.025, 0.05, 0.08, 0.12, 0.18, 0.27, 0.4, 0.6, 0.9),
+    of_slope=lambda slope: float(np.arctan(np.sqrt(np.log(2.0)) * beckmann_width(slope))),
     maximum=1.5,
 )
 

@@ -24,7 +24,13 @@ WIDENING = Parameter(
     scan=(1.6, 4.0, 12.0),
 )
 SHARE = Parameter(
-    "share", Kind.SHAPE, bounds=(0.0, 1.0), minimum=0.0, default=0.3, scan=(0.1, 0.4, 0.8), maximum=1.0
+    "share",
+    Kind.SHAPE,
+    bounds=(0.0, 1.0),
+    minimum=0.0,
+    default=0.3,
+    scan=(1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999),
+    maximum=1.0,
 )
 ALPHA_RETRO = Parameter(
     "alpha_retro",
@@ -33,7 +39,7 @@ ALPHA_RETRO = Parameter(
     minimum=ALPHA.minimum,
     default=0.1,
     coordinate=Coordinate.LOG,
-    scan=(0.02, 0.1, 0.4),
+    scan=ALPHA.scan,
 )
 
 

@@ -43,13 +43,26 @@ def test_sparse_real_paint_has_its_best_lobe(shared_data, name):
     assert fit_optimum.gap(sets["garnet_red"], name, 10) <= fit_optimum.BAR
 
 
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("name", "material"),
+    [
+        ("ggx-retro", "white-fabric"),
+        ("ggx-two-lobes", "garnet_red"),
+        ("ggx-anisotropic", "gray-plastic"),
+        ("ggx-conductor", "ss440"),
+    ],
+)
+def test_hidden_basins_are_found(shared_data, name, material):
+    """Catches starts that miss a basin which holds 0.3 to 4 % less loss, and few random starts see."""
+    assert fit_optimum.gap(fit_optimum.data_sets()[material], name, fit_optimum.FEW) <= fit_optimum.BAR
+
+
 @pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.timeout(3000)
-@pytest.mark.parametrize(
-    "name", ["ggx", "cook-torrance", "cook-torrance-schlick", "ward-duer", "blinn-phong"]
-)
+@pytest.mark.parametrize("name", fit_optimum.models())
 def test_no_random_start_finds_better_anywhere(shared_data, name):
-    """Catches a better optimum, by 0.1 % of the loss, that one of 100 random starts reaches."""
-    worst, material = fit_optimum.worst_gap(fit_optimum.data_sets(), name, fit_optimum.MANY)
-    assert worst <= fit_optimum.BAR, material
+    """Catches a better optimum, by 0.1 % of the loss, that one of 20 or 100 random starts reaches."""
+    found = fit_optimum.gaps(fit_optimum.data_sets(), name, fit_optimum.models()[name])
+    assert {each: value for each, value in found.items() if value > fit_optimum.BAR} == {}
