@@ -70,6 +70,52 @@ def test_a_lobe_that_the_grid_resolves_is_not_doubted(name, width):
     assert result.u[WIDTH[name]] < 0.01 * width
 
 
+def in_plane(step_i_deg, step_o_deg):
+    """Return pairs in the plane of incidence alone."""
+    theta_i, theta_o = (
+        np.radians(axis.ravel())
+        for axis in np.meshgrid(np.arange(step_i_deg, 71.0, step_i_deg), np.arange(-80.0, 81.0, step_o_deg))
+    )
+    wi = spherical_to_direction(theta_i, np.full_like(theta_i, np.pi))
+    return wi, spherical_to_direction(np.abs(theta_o), np.where(theta_o < 0.0, np.pi, 0.0))
+
+
+def some_lights(lights, each):
+    """Return scattered directions of view under a few directions of light."""
+    random = np.random.default_rng(0)
+    theta_i = np.repeat(np.arccos(random.uniform(0.3, 1.0, lights)), each)
+    return spherical_to_direction(theta_i, np.full_like(theta_i, np.pi)), spherical_to_direction(
+        np.arccos(random.uniform(0.2, 1.0, lights * each)), random.uniform(0.0, 2.0 * np.pi, lights * each)
+    )
+
+
+LABORATORIES = {
+    "grid of 5 deg": (grid(5.0), 5.0),
+    "grid of 15 deg": (grid(15.0), 15.0),
+    "in plane, 5 deg": (in_plane(10.0, 5.0), 5.0),
+    "in plane, 2 deg": (in_plane(15.0, 2.0), 2.0),
+    "nine lights": (some_lights(9, 100), 6.0),
+    "anywhere": (anywhere(800, 5), 6.0),
+}
+"""Directions, and their step in degrees, of scattered ones about that to the nearest neighbour."""
+
+
+@pytest.mark.parametrize("name", ["ggx", "cook-torrance"])
+@pytest.mark.parametrize("directions", LABORATORIES)
+def test_laboratories_of_other_kinds(directions, name):
+    """Catches limits made for one grid: below a third of a step doubted everywhere, wide lobes nowhere."""
+    (wi, wo), step_deg = LABORATORIES[directions]
+    other = {"f0": 0.04} if name == "ggx" else {"ior": 1.5}
+    truth = {"kd": 0.2, "ks": 1.0} | other
+    narrow = fit(drawn(name, wi, wo, **truth, **{WIDTH[name]: np.radians(0.3 * step_deg)}), name)
+    assert not narrow.u[WIDTH[name]] < 0.5 * narrow.parameters[WIDTH[name]]
+    assert any(WIDTH[name] in caution.parameters for caution in narrow.cautions)
+    for width in (0.2, 0.3):
+        wide = fit(drawn(name, wi, wo, **truth, **{WIDTH[name]: width}), name)
+        assert wide.cautions == ()
+        assert wide.parameters[WIDTH[name]] == pytest.approx(width, rel=0.02)
+
+
 def test_a_finer_grid_resolves_what_a_coarse_one_does_not():
     """Catches a limit that does not know the step."""
     truth = {"kd": 0.2, "ks": 1.0, "alpha": 0.06, "f0": 0.04}
