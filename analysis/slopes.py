@@ -76,7 +76,7 @@ def _covers(theta: Array) -> bool:
     different = np.unique(np.round(theta, 6))
     if len(different) < FEWEST or different[-1] < 0.5 * STEEPEST_RAD:
         return False
-    return float(np.max(np.diff(different, prepend=0.0))) <= WIDEST_GAP_RAD
+    return bool(np.max(np.diff(different, prepend=0.0)) <= WIDEST_GAP_RAD)
 
 
 def _averaged(theta: Array, values: Array) -> tuple[Array, Array]:

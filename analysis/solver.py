@@ -147,7 +147,7 @@ def _evaluate(equations: Linearised, points: Array) -> list[Solution]:
             kd, ks = solve_scales(loss.secant(terms.values(kd, ks)), loss.data, terms.pair())
         residual = loss.residual(terms.values(kd, ks))
         cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
-        found += [Solution(*each, float(c)) for *each, c in zip(shapes, kd, ks, cost, strict=True)]
+        found += [Solution(shapes[i], kd[i], ks[i], float(cost[i])) for i in range(len(shapes))]
     return found
 
 

@@ -129,7 +129,7 @@ def spread(problem: Problem, slope: float | None) -> Array:
         [p.coordinate.forward(float(value)) for value in np.clip(likely[p.name], *p.bounds)]
         for p in problem.shapes
     ]
-    return np.clip(np.array(columns).T, low, high)
+    return np.asarray(np.clip(np.array(columns).T, low, high))
 
 
 def _kronecker(count: int, dimensions: int) -> Array:
