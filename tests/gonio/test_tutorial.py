@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from analysis.models import MODELS
+from gonio.cli import main
 from rig.angles import spherical_to_direction
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,6 +44,51 @@ def test_it_is_ten_lines() -> None:
     lines = [line for line in code().splitlines() if line and not line.startswith(("import", "from"))]
     assert len(lines) == 10
     assert HEADER in TEXT
+
+
+ORDERS = {
+    "as gonio writes it": (",", ".", (0, 1, 2, 3, 4, 5, 6)),
+    "columns in another order": (",", ".", (6, 3, 4, 0, 2, 5, 1)),
+    "semicolons and decimal commas": (";", ",", (0, 2, 1, 3, 6, 5, 4)),
+    "tabs": ("\t", ".", (4, 5, 6, 0, 1, 2, 3)),
+}
+
+
+def named_table(*, names: tuple[str, ...], layout: str, rows: np.ndarray) -> str:
+    """Return the same measurement with gonio's column names, in some layout."""
+    separator, point, order = ORDERS[layout]
+    head = ("theta_i_deg", "theta_o_deg", "phi_o_deg", *names, "phi_i_deg")
+    table = np.column_stack([rows, np.full(len(rows), 180.0)])
+    lines = [separator.join(head[i] for i in order)]
+    lines += [separator.join(f"{row[i]:.6f}".replace(".", point) for i in order) for row in table]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("layout", ORDERS)
+def test_tables_of_other_laboratories_without_python(tmp_path: Path, capsys, layout: str) -> None:
+    """Catches a column taken for another, or a separator that ends in a traceback or in other numbers."""
+    path = tmp_path / "theirs.csv"
+    names = ("f_r_650nm", "f_r_550nm", "f_r_450nm")
+    path.write_text(named_table(names=names, layout=layout, rows=their_table()), "utf-8")
+    arguments = ["fit", str(path), "--model", "ggx", "--wavelength-nm", "550", "450", "--json"]
+    assert main(arguments) == 0
+    (result,) = json.loads(capsys.readouterr().out)["fits"]
+    assert [name.replace(" ", "") for name in result["channels"]] == ["550nm", "450nm"]
+    assert result["parameters"]["kd"]["value"] == pytest.approx([0.25, 0.05], abs=0.005)
+    assert result["parameters"]["alpha"]["value"] == pytest.approx(0.2, rel=0.02)
+    assert main([*arguments[:4], "--wavelength-nm", "600"]) == 2
+    assert "holds no 600 nm; choose from" in capsys.readouterr().err
+
+
+def test_a_table_in_radians_is_refused(tmp_path: Path, capsys) -> None:
+    """Catches a fit of a lobe a degree wide, which is what radians look like as degrees."""
+    rows = their_table()
+    rows[:, :3] = np.radians(rows[:, :3])
+    path = tmp_path / "theirs.csv"
+    names = ("f_r_R", "f_r_G", "f_r_B")
+    path.write_text(named_table(names=names, layout="as gonio writes it", rows=rows), "utf-8")
+    assert main(["fit", str(path)]) == 2
+    assert "looks like radians" in capsys.readouterr().err
 
 
 @pytest.mark.render
