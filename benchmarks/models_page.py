@@ -21,6 +21,7 @@ from analysis.models import DEFAULT_MODELS, FITTED_MODELS, MODELS, factored
 from analysis.models.base import Coordinate, Kind
 from analysis.models.fresnel import dielectric
 from analysis.samples import read, select
+from benchmarks.fit_page import kept
 from benchmarks.models import (
     ALBEDO_DRAWS,
     DATA,
@@ -55,7 +56,9 @@ THINNED = 4
 def page(folder: Path) -> str:
     """Set the text of models.md."""
     parts = [_HEAD, _overview(), _NOT_RECIPROCAL, _violations(), _ENERGY, _albedos(), _DIGITS, _digits()]
-    parts += [_measured(), "## The models\n"]
+    path = folder / "models.md"
+    numbers = kept(path.read_text("utf-8")) if path.is_file() else ""
+    parts += [_measured(), f"{numbers}## The models\n"]
     parts += [_section(model) for model in MODELS.values()]
     parts.append(_factored_section())
     draw_all(folder / "models")
