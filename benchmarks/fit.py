@@ -1,8 +1,9 @@
-"""Every number that the fits and their models are held to, part by part; `docs/fit-numbers.md` keeps them.
+"""Every number that the fits and their models are held to, part by part; `docs/models.md` keeps them.
 
-The parts can be run alone: fit_plain (loss and time beside scipy), fit_files (real files, bootstrap), models
-(what the models promise; the factored one), nist_strd (certified problems), fit_coverage (how often intervals
-hold the truth), fit_optimum (random starts against the optimum found). The last two take most of the time.
+The parts can be run alone: fit_plain (loss and time beside scipy), fit_factored (tables beside GGX), fit_files
+(real files, bootstrap), nist_strd (certified problems), models (what the models promise, and their digits),
+fit_coverage (how often intervals hold the truth), fit_optimum (random starts against the optimum found). The
+last three take most of the time.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from gonio.output import say
 if TYPE_CHECKING:
     from pathlib import Path
 
-PARTS = ("fit_plain", "fit_files", "models", "nist_strd", "fit_coverage", "fit_optimum")
+PARTS = ("fit_plain", "fit_factored", "fit_files", "nist_strd", "models", "fit_coverage", "fit_optimum")
 """Modules beside this one, quick ones first."""
 
 
