@@ -7,6 +7,7 @@ interpolated onto. To keep a file's tensors as they are, use `analysis.formats.t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,12 +17,12 @@ from analysis.formats.loss import Loss, compared
 from analysis.formats.rgl_table import Table
 from analysis.formats.scattered import Usable, interpolant_of, usable
 from analysis.formats.tensor import MAGIC, read_tensors, write_tensors
+from analysis.interpolation.trend import fit_trend
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction, unit
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     import xarray as xr
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from analysis.interpolation import Interpolant
 
 Array = NDArray[np.float64]
+Lookup = Callable[[Array, Array], tuple[Array, NDArray[np.bool_]]]
 
 NAME = "RGL .bsdf"
 OPTIONS = ("no_cosine",)
@@ -46,6 +48,9 @@ AZIMUTH_STEP = 3
 
 LARGEST_STEP_RAD = np.radians(3.0)
 """Step between the polar angles of the light in a written table; those of the samples are all among them."""
+
+FORMULA_THETA_I = np.radians(np.append(np.arange(0.0, 88.0, 2.0), [88.0, 89.5]))
+"""Polar angles of the light of a table that a formula fills."""
 
 HORIZON_COSINE = 0.01
 """f_r at the horizon is taken from so far above it."""
@@ -143,7 +148,12 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
         )
     interpolant = interpolant_of(given)
     profile = interpolant.trend.profile
-    grid = _nodes(interpolant, _incidences(interpolant))
+
+    def between(wi: Array, wo: Array) -> tuple[Array, NDArray[np.bool_]]:
+        found = interpolant(wi, wo)
+        return found.f_r, found.hole
+
+    grid = _nodes(between, profile, _incidences(interpolant))
     tensors = tensors_of(
         grid.theta_i, grid.values, profile, wavelengths, str(samples.attrs.get("source", ""))
     )
@@ -151,6 +161,32 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
     back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
     loss = compared(samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm",))
     return tensors, loss
+
+
+def table_of(evaluate: Callable[[Array, Array], Array], source: str) -> dict[str, NDArray[Any]]:
+    """Evaluate an isotropic formula onto a table of linear RGB.
+
+    Parameters
+    ----------
+    evaluate : callable
+        (wi, wo) -> f_r (N, 3).
+    source : str
+        What the formula is.
+    """
+    theta = np.radians(np.linspace(0.0, 88.0, 12))
+    grid = np.meshgrid(theta, theta, np.linspace(0.0, np.pi, 12), indexing="ij")
+    wi, wo = (
+        spherical_to_direction(polar.ravel(), azimuth.ravel())
+        for polar, azimuth in ((grid[0], np.zeros_like(grid[0])), (grid[1], grid[2]))
+    )
+    wi, wo = np.concatenate([wi, wi]), np.concatenate([wo, unit(wi * [-1.0, -1.0, 1.0] + 0.2 * wo)])
+    profile = fit_trend(wi, wo, evaluate(wi, wo)).profile
+
+    def everywhere(wi: Array, wo: Array) -> tuple[Array, NDArray[np.bool_]]:
+        return evaluate(wi, wo), np.zeros(len(wi), dtype=bool)
+
+    nodes = _nodes(everywhere, profile, FORMULA_THETA_I)
+    return tensors_of(nodes.theta_i, nodes.values, profile, None, source)
 
 
 def tensors_of(
@@ -224,26 +260,26 @@ def _incidences(interpolant: Interpolant) -> Array:
     return np.concatenate([*parts, ends[-1:]])
 
 
-def _nodes(interpolant: Interpolant, theta_i: Array) -> _Grid:
-    """Values over the profile.
+def _nodes(lookup: Lookup, profile: Callable[[Array], Array], theta_i: Array) -> _Grid:
+    """Values over the profile; `lookup` gives f_r (N, C) and where it is a guess (N,).
 
     Below the horizon f_r is that of the horizon and the cosine keeps its negative sign, so that what lies
     between a node above and one below runs through zero where it should.
     """
     half = half_vectors()
-    profile = np.resize(interpolant.trend.profile(np.linspace(0.0, 1.0, SIDE)), len(half))[:, None]
+    over = np.resize(profile(np.linspace(0.0, 1.0, SIDE)), len(half))[:, None]
     values, cells, filled = [], 0, 0
     for theta in theta_i:
         light = np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape)
         camera = unit(2.0 * (light * half).sum(-1, keepdims=True) * half - light)
         wanted = _near_the_horizon(camera[:, 2])
-        found = interpolant(light[wanted], _lifted(camera[wanted]))
-        f_r = np.zeros((len(half), found.f_r.shape[1]))
-        f_r[wanted] = found.f_r
-        values.append(all_azimuths((f_r * camera[:, 2:] / profile).T))
+        found, hole = lookup(light[wanted], _lifted(camera[wanted]))
+        f_r = np.zeros((len(half), found.shape[1]))
+        f_r[wanted] = found
+        values.append(all_azimuths((f_r * camera[:, 2:] / over).T))
         above = camera[wanted, 2] > 0.0
         cells += int(np.count_nonzero(above))
-        filled += int(np.count_nonzero(found.hole & above))
+        filled += int(np.count_nonzero(hole & above))
     return _Grid(theta_i, np.stack(values), cells, filled)
 
 

@@ -1,0 +1,76 @@
+"""A fitted model for Mitsuba 3: its own plugin where the formula is the same, else a `measured` table of it.
+
+Lambert is Mitsuba's `diffuse`. Its rough plugins are other formulas than any fitted here (masking by a
+rational approximation and not height-correlated, a diffuse part that knows the interface), so all other
+models are evaluated onto a tensor file that lies beside the description.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.appearance import sphere_delta_e
+from analysis.exports.colours import to_linear_srgb
+from analysis.exports.exported import Exported, compared_directions, relative
+from analysis.formats.rgl import table_of
+from analysis.formats.rgl_table import Table
+from analysis.formats.tensor import write_tensors
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from analysis.exports.exported import Reflects
+
+Array = NDArray[np.float64]
+
+
+def write(model: Reflects, path: Path, name: str, channels: Sequence[str]) -> Exported:
+    """Write a model; see `analysis.exports.export`."""
+    matrix = to_linear_srgb(channels)
+
+    def in_srgb(wi: Array, wo: Array) -> Array:
+        f_r = model.evaluate(wi, wo)
+        return np.asarray(np.broadcast_to(f_r, (*f_r.shape[:-1], len(matrix))) @ matrix)
+
+    up = np.array([[0.0, 0.0, 1.0]])
+    diffuse = np.pi * in_srgb(up, up)[0]
+    if name == "lambert" and (diffuse >= 0.0).all() and (diffuse <= 1.0).all():
+        _describe(path, {"type": "diffuse", "reflectance": {"type": "rgb", "value": diffuse.tolist()}})
+        return Exported("Mitsuba's diffuse, the same formula", (path.name,), 0.0, 0.0, 0.0)
+    tensors = table_of(in_srgb, name)
+    beside = path.with_suffix(".bsdf")
+    write_tensors(beside, tensors)
+    _describe(path, {"type": "measured", "filename": beside.name})
+    table = Table(tensors, str(beside))
+
+    def from_table(wi: Array, wo: Array) -> Array:
+        cosine = np.where(wo[:, 2:] > 0.0, wo[:, 2:], 1.0)
+        return table.evaluate(wi, wo) / cosine
+
+    wi, wo = compared_directions()
+    median, p95 = relative(from_table(wi, wo), in_srgb(wi, wo))
+    delta_e = sphere_delta_e(in_srgb, from_table)["delta_e_mean"]
+    return Exported(
+        "Mitsuba's measured, a table of the formula", (path.name, beside.name), median, p95, delta_e
+    )
+
+
+def _describe(path: Path, bsdf: dict[str, Any]) -> None:
+    """Write the description as a dictionary for `load_dict`, or as XML."""
+    if path.suffix.lower() == ".json":
+        path.write_text(json.dumps(bsdf, indent=2), encoding="utf-8")
+        return
+    root = ET.Element("bsdf", version="3.0.0", type=bsdf["type"], id="gonio")
+    if "filename" in bsdf:
+        ET.SubElement(root, "string", name="filename", value=bsdf["filename"])
+    else:
+        value = " ".join(f"{part:.9g}" for part in bsdf["reflectance"]["value"])
+        ET.SubElement(root, "rgb", name="reflectance", value=value)
+    ET.indent(root)
+    path.write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
