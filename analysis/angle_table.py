@@ -58,8 +58,13 @@ class AngleTable:
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> AngleTable:
         """Return the angles and values of some samples, without the facts."""
-        angles = (self.theta_i, self.phi_i, self.theta_o, self.phi_o)
-        return AngleTable(*(angle[chosen] for angle in angles), self.f_r[chosen])
+        return AngleTable(
+            self.theta_i[chosen],
+            self.phi_i[chosen],
+            self.theta_o[chosen],
+            self.phi_o[chosen],
+            self.f_r[chosen],
+        )
 
 
 def table_of(samples: xr.Dataset) -> AngleTable:

@@ -108,7 +108,7 @@ def _notes(findings: Sequence[Finding]) -> str:
 def _readings_table(diagnosis: Diagnosis) -> str:
     rows = [
         [
-            escape(each.reading.words),
+            escape(each.reading.name),
             sections.number(each.log_odds, ".1f"),
             sections.number(each.reciprocity),
             sections.number(each.evidence.lobe_rms),
@@ -118,7 +118,7 @@ def _readings_table(diagnosis: Diagnosis) -> str:
         for each in diagnosis.ranked[:SHOWN_READINGS]
     ]
     head = ["Reading", "Log odds", "Reciprocity", "Off the lobe", "Noise", "Above horizon"]
-    return f"<h3>Conventions</h3><p>{escape(diagnosis.words)}.</p>" + sections.table(head, rows)
+    return f"<h3>Conventions</h3><p>{escape(diagnosis.words.capitalize())}.</p>" + sections.table(head, rows)
 
 
 def _figure(svg: bytes, alt: str, caption: str) -> str:

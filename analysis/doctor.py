@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis import formats
 from analysis.angle_table import AngleTable, table_of
-from analysis.doctor_evidence import Evidence, evidence
+from analysis.doctor_evidence import LENGTHS, Evidence, evidence
 from analysis.doctor_readings import Reading, Step, candidates
 from analysis.pairing import FEWEST_PAIRS, isotropic_key, reciprocal_difference
 from analysis.samples import make_samples, read
@@ -44,7 +44,7 @@ LOBE_KNOWN = 0.2
 """RMS about the best lobe below which no reading is better for it: no surface follows a formula so far."""
 CLEAR_NOISE = 0.2
 """RMS of what is neither lobe nor smooth beyond which the odds shrink with its square: no apt model."""
-DECIDED = float(np.log(200.0))
+DECIDED = float(np.log(5000.0))
 """Logarithm of the odds at which the evidence decides."""
 FEWEST = 20
 MOST_IMPOSSIBLE, ALLOWED_IMPOSSIBLE, PER_IMPOSSIBLE = 0.3, 0.02, 600.0
@@ -214,7 +214,7 @@ def reread(table: AngleTable, reading: Reading) -> xr.Dataset:
 
 def _thinned(table: AngleTable) -> tuple[AngleTable, Array]:
     """Return the usable samples, some of many, in the mean over channels, and the weight of each."""
-    finite = np.isfinite(table.f_r).all(axis=1)
+    finite = np.asarray(np.isfinite(table.f_r).all(axis=1))
     if "flags" in table.facts:
         finite &= (table.facts["flags"] == 0).all(axis=1)
     value = np.where(finite, np.mean(np.where(finite[:, None], table.f_r, 0.0), axis=1), np.nan)
@@ -233,11 +233,14 @@ def _weighed(
 ) -> list[Ranked]:
     """Weigh readings on every n-th sample; best first, without those that are impossible."""
     rows = np.arange(0, len(weights), max(every, 1))
-    found = [_weigh(same, table.rows(rows), weights[rows]) for same in groups]
+    lengths = LENGTHS if every <= 1 else LENGTHS[1:2]
+    found = [_weigh(same, table.rows(rows), weights[rows], lengths) for same in groups]
     return sorted((each for each in found if each is not None), key=lambda each: -each.log_odds)
 
 
-def _weigh(same: Sequence[Reading], table: AngleTable, weights: Array) -> Ranked | None:
+def _weigh(
+    same: Sequence[Reading], table: AngleTable, weights: Array, lengths: Sequence[float]
+) -> Ranked | None:
     """Weigh readings that are one; None where too few samples are possible under them."""
     read = same[0].apply(table)
     possible = read.possible()
@@ -247,7 +250,7 @@ def _weigh(same: Sequence[Reading], table: AngleTable, weights: Array) -> Ranked
     if share < 1.0 - MOST_IMPOSSIBLE or np.count_nonzero(use) < FEWEST:
         return None
     compared = read.rows(use)
-    found = evidence(compared, weights[use])
+    found = evidence(compared, weights[use], lengths)
     log = min(INDEPENDENT, float(len(weights))) * found.total
     log -= LOBE_INDEPENDENT * float(np.log(np.hypot(found.lobe_rms, LOBE_KNOWN)))
     log -= PER_IMPOSSIBLE * max(1.0 - share - ALLOWED_IMPOSSIBLE, 0.0)

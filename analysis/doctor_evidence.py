@@ -27,6 +27,8 @@ from analysis.models.base import Geometry
 from rig.angles import half_difference
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from analysis.angle_table import AngleTable
 
 Array = NDArray[np.float64]
@@ -68,7 +70,7 @@ class Evidence:
     noise_rms: float
 
 
-def evidence(table: AngleTable, weights: Array) -> Evidence:
+def evidence(table: AngleTable, weights: Array, lengths: Sequence[float] = LENGTHS) -> Evidence:
     """Weigh a reading.
 
     Parameters
@@ -77,6 +79,8 @@ def evidence(table: AngleTable, weights: Array) -> Evidence:
         Samples above the horizon, one channel, all values positive.
     weights : ndarray, shape (N,)
         Inverse relative variance of each value's logarithm, up to a factor.
+    lengths : sequence of float
+        Lengths of the process's covariance that are tried.
 
     Returns
     -------
@@ -91,8 +95,9 @@ def evidence(table: AngleTable, weights: Array) -> Evidence:
     spread = weights @ np.square(residual)
     best = np.argsort(spread)[:LOBES]
     features = _features(wi, wo)
+    centres = features[_spread_out(features)]
     found = max(
-        (_marginal(features / length, residual[:, best], root) for length in LENGTHS),
+        (_marginal(features / length, centres / length, residual[:, best], root) for length in lengths),
         key=lambda pair: pair[0],
     )
     scale = weights.sum()
@@ -108,7 +113,9 @@ def _lobes(wi: Array, wo: Array) -> Array:
             for f0 in FRESNEL:
                 lobe = MODELS[model](**{width: alpha, "f0": f0}).basis_at(geometry)["ks"][:, 0]
                 columns += [np.log(1.0 / np.pi + ratio * lobe) for ratio in RATIOS]
-    columns += [np.log(MODELS["oren-nayar"](kd=1.0, sigma_rad=s).evaluate(wi, wo)[:, 0]) for s in ROUGHNESS]
+    for slope in ROUGHNESS:
+        diffuser = {"kd": 1.0, "sigma_rad": slope}
+        columns.append(np.log(MODELS["oren-nayar"](**diffuser).evaluate(wi, wo)[:, 0]))
     return np.stack(columns, axis=1)
 
 
@@ -119,10 +126,9 @@ def _features(wi: Array, wo: Array) -> Array:
     return np.stack([np.arcsinh(theta_h / NARROWEST), 2.0 * theta_d, 2.0 * out_of_plane], axis=1)
 
 
-def _marginal(features: Array, residual: Array, root: Array) -> tuple[float, float]:
+def _marginal(features: Array, centres: Array, residual: Array, root: Array) -> tuple[float, float]:
     """Return the best marginal likelihood over signals and lobes, and the noise's weighted square sum."""
     count = len(features)
-    centres = features[_spread_out(features)]
     basis = _kernel(features, centres) * root[:, None]
     # Whitened by the centres' own covariance, basis @ basis.T is the process's (Nystrom 1930).
     factor = np.linalg.cholesky(_kernel(centres, centres) + 1e-6 * np.eye(len(centres)))

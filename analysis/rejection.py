@@ -252,5 +252,5 @@ def _appended(
     )
     flags = logged["flags"].to_numpy() & ~REJECTED
     for each in standing(logged):
-        flags[np.ix_(_numbers(each.samples), each.channels)] |= REJECTED
+        flags[np.ix_(_numbers(each.samples), np.array(each.channels))] |= REJECTED
     return logged.assign(flags=(logged["flags"].dims, flags, logged["flags"].attrs))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import collections
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,18 +56,14 @@ class Trial:
 
 def sources() -> dict[str, Callable[[], xr.Dataset]]:
     """Return how to read each file, and how to make each synthetic surface."""
-    made: dict[str, Callable[[], xr.Dataset]] = {
-        name: lambda name=name: synthetic(name) for name in SYNTHETIC
-    }
-    for path in sorted(DATA.glob("merl-standins/*.npz")) + sorted(DATA.glob("cornell/*.brdf")):
-        made[path.stem] = lambda path=path: read(path)
-    for path in sorted(DATA.glob("rgl/*.bsdf")) + sorted(DATA.glob("starlink/chassis*.csv")):
-        made[path.stem] = lambda path=path: read(path)
+    made: dict[str, Callable[[], xr.Dataset]] = {name: partial(synthetic, name) for name in SYNTHETIC}
+    for pattern in ("merl-standins/*.npz", "cornell/*.brdf", "rgl/*.bsdf", "starlink/chassis*.csv"):
+        made |= {path.stem: partial(read, path) for path in sorted(DATA.glob(pattern))}
     raw = DATA / "rt300s" / "raw"
     for path in (*sorted(raw.glob("*EC1*.xls")), *sorted(raw.glob("NiTE*.xls"))):
-        made[path.stem] = lambda path=path: read(path, blank=raw / "blank_v2o0_20250911.xls")
+        made[path.stem] = partial(read, path, blank=raw / "blank_v2o0_20250911.xls")
     for material in MATERIALS if (DATA / "mwir").is_dir() else ():
-        made[material] = lambda name=material: read(DATA / "mwir" / "radiance.csv", material=name)
+        made[material] = partial(read, DATA / "mwir" / "radiance.csv", material=material)
     return made
 
 
