@@ -1,9 +1,9 @@
 """Every number that the fits and their models are held to, part by part; `docs/models.md` keeps them.
 
-The parts can be run alone: fit_plain (loss and time beside scipy), fit_factored (tables beside GGX), fit_files
-(real files, bootstrap), nist_strd (certified problems), models (what the models promise, and their digits),
-fit_coverage (how often intervals hold the truth), fit_optimum (random starts against the optimum found). The
-last three take most of the time.
+The parts can be run alone: fit_plain (loss and time beside scipy), fit_factored (tables beside GGX),
+fit_files (real files, bootstrap), nist_strd (certified problems), models (what the models promise, and their
+digits), fit_coverage (how often intervals hold the truth), fit_optimum (random starts against the optimum
+found). The last three take most of the time.
 """
 
 from __future__ import annotations
