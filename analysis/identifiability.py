@@ -190,9 +190,9 @@ def grid_step(wi: Array, wo: Array, theta_h: Array) -> float:
     for pick in np.unique(np.linspace(0, len(near) - 1, GROUPS).astype(int)):
         group = np.unique(np.round(wo[np.max(np.abs(wi - wi[pick]), axis=1) < 1e-6], 6), axis=0)
         if 3 <= len(group) <= 1000:
-            distance = np.linalg.norm(group[:, None] - group[None], axis=-1)
-            np.fill_diagonal(distance, np.inf)
-            steps.append(np.median(distance.min(axis=1)))
+            cosine = group @ group.T
+            np.fill_diagonal(cosine, -1.0)
+            steps.append(np.median(np.sqrt(np.maximum(2.0 - 2.0 * cosine.max(axis=1), 0.0))))
     return float(2.0 * np.arcsin(0.5 * np.median(steps))) if steps else 0.0
 
 

@@ -324,3 +324,21 @@ def test_models_declare_what_the_fit_solves():
     for model in MODELS.values():
         scales = {p.name for p in model.PARAMETERS if p.kind is not Kind.SHAPE}
         assert scales in ({"kd"}, {"kd", "ks"})
+
+
+def test_metrics_are_always_several():
+    """Catches a fit that is judged by one number, and a sphere that nobody shaded."""
+    result = fit(exact_samples("cook-torrance", count=2000, u_noise=1e-3), "lambert")
+    residuals = {"rms_log", "l2_cos", "rms_cbrt", "median_relative", "chi2_dof"}
+    seen = {"albedo_0", "albedo_30", "albedo_60", "delta_e_mean", "delta_e_95"}
+    assert set(result.metrics) == residuals | seen
+    assert set(result.goodness) == residuals
+    random = np.random.default_rng(0)
+    wi = spherical_to_direction(np.repeat(np.radians([0.0, 30.0, 60.0]), 500), np.zeros(1500))
+    wo = spherical_to_direction(
+        np.arcsin(np.sqrt(random.uniform(0.0, 0.97, 1500))), random.uniform(0.0, 6.28, 1500)
+    )
+    f_r = MODELS["blinn-phong"](**TRUTH["blinn-phong"]).evaluate(wi, wo)
+    whole = fit(make_samples(wi, wo, f_r), "lambert").metrics
+    assert all(np.isfinite(whole[name]) for name in seen)
+    assert whole["delta_e_mean"] > 1.0

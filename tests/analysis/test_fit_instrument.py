@@ -201,3 +201,32 @@ def test_some_of_a_problem_keeps_its_instrument():
     np.testing.assert_allclose(
         problem.some(few).terms(shapes).lobe, problem.terms(shapes).lobe[:, few], rtol=1e-13
     )
+
+
+def test_errors_of_joints_are_those_of_the_lobe_as_it_is_seen():
+    """Catches the gradient of the bare lobe, steeper than what the camera saw, in the weights and in u."""
+    count, step = 200, 1e-4
+    wi, wo = around_the_mirror(count, 0.05)
+    tangent = np.stack([wo[:, 2], np.zeros(count), -wo[:, 0]], axis=1)
+    joints = {
+        "pose": np.arange(count) // 10, "d_wi": np.zeros((count, 1, 3)), "d_wo": tangent[:, None, :],
+        "u_joint_rad": [np.radians(0.1)],
+    }  # fmt: skip
+    samples = blurred(0.02, Instrument(0.03, 0.0), count=count, order=4, **joints)
+    result = fit(samples, "ggx")
+    assert result.state.problem.spread is not None
+    assert result.parameters["alpha"] == pytest.approx(0.02, abs=4.0 * float(result.u["alpha"]))
+    assert result.u["alpha"] > 1.5 * fit(samples.drop_vars("pose"), "ggx").u["alpha"]
+    from analysis.uncertainty import directional_slope
+
+    seen = Seen(result.model, result.state.problem.spread)
+    moved = [
+        seen.evaluate(wi, (wo + s * tangent) / np.linalg.norm(wo + s * tangent, axis=1)[:, None])
+        for s in (step, -step)
+    ]
+    slope = directional_slope(seen, wi, wo, np.zeros((count, 3)), tangent)
+    np.testing.assert_allclose(slope, (moved[0] - moved[1]) / (2.0 * step), atol=1e-3 * np.abs(slope).max())
+    assert (
+        np.abs(slope).max()
+        < 0.8 * np.abs(directional_slope(result.model, wi, wo, np.zeros((count, 3)), tangent)).max()
+    )
