@@ -77,6 +77,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--compare", action="store_true", help="set each parameter of all files side by side")
     parser.add_argument("--plots", metavar="FOLDER", help="write a picture of each fit there")
+    parser.add_argument(
+        "--export",
+        metavar="OUT",
+        help="write the best fit of the file for renderers, and say how near that is: .xml or .json for "
+        "Mitsuba, .gltf or .mtlx for the nearest metallic-roughness material",
+    )
     add_json_option(parser)
 
 
@@ -101,6 +107,8 @@ def run(options: argparse.Namespace) -> int:
     _check_names(names)
     if options.compare and len(options.files) < 2:
         raise BadInput("there is one file", where="--compare", todo="name the files to compare")
+    if options.export:
+        _check_export(options)
     progress = Progress("fits", len(options.files) * len(names))
     fitted = []
     for file in options.files:
@@ -117,7 +125,32 @@ def run(options: argparse.Namespace) -> int:
         print(side_by_side(options.files, fitted[0].channels, compared))
     if options.plots:
         _draw(options.plots, fitted)
+    if options.export:
+        _export(options.export, fitted[0])
     return 0
+
+
+def _check_export(options: argparse.Namespace) -> None:
+    """Refuse before anything is read."""
+    from pathlib import Path
+
+    from analysis.exports import check_name
+
+    if len(options.files) > 1:
+        raise BadInput(
+            f"{len(options.files)} files, one can be exported", where="--export", todo="name one file"
+        )
+    check_name(Path(options.export))
+
+
+def _export(out: str, fitted: _Fitted) -> None:
+    """Write the best fit for renderers, and say what that loses."""
+    from pathlib import Path
+
+    from analysis.exports import export
+
+    best = fitted.ranked[0]
+    say(f"{best.name} to {export(best.result.model, Path(out), name=best.name, channels=fitted.channels)}")
 
 
 def _check_names(names: Sequence[str]) -> None:
