@@ -96,7 +96,11 @@ class Loss(ABC):
     def _counted(self, values: Array) -> Array:
         """Residuals or slopes of used data with the root of their weight, 0 for the others."""
         whole = values if self.root is None else values * self.root
-        return np.where(self.used, whole, 0.0)
+        return whole if self._all_used else np.where(self.used, whole, 0.0)
+
+    @cached_property
+    def _all_used(self) -> bool:
+        return bool(self.used.all())
 
     def weight(self) -> Array:
         """Return the slope at the data: a linear loss's weight, another's near the solution."""
