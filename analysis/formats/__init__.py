@@ -72,7 +72,12 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
                 where=str(path),
                 todo="leave it out",
             )
-    samples: xr.Dataset = module.read(path, **given)
+    try:
+        samples: xr.Dataset = module.read(path, **given)
+    except MemoryError:
+        raise BadInput(
+            "needs more memory than there is", where=str(path), todo="split it, or store it as NetCDF"
+        ) from None
     if getattr(module, "OPEN_END", False):
         from analysis.formats.doubts import ATTRIBUTE, doubts
 

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-LARGEST_TEXT_BYTES = 64 * 1024**2
+LARGEST_TEXT_BYTES = 16 * 1024**2
+"""Lists of words take up to sixty times the space of the text."""
 
 SEPARATORS = (";", "\t", ",")
 """What may stand between cells; where it is no comma, a comma may stand in numbers."""
