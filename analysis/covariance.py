@@ -15,10 +15,10 @@ from analysis.models.fresnel import normal_reflectance, normal_reflectance_slope
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from analysis.problem import Problem
     from analysis.jacobian import SearchJacobian
     from analysis.layout import Layout
     from analysis.losses import Loss
+    from analysis.problem import Problem
     from analysis.solver import Solution
     from analysis.state import Block
 

@@ -28,8 +28,8 @@ from analysis.solver import minimise
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.problem import Problem
     from analysis.losses import Loss
+    from analysis.problem import Problem
     from analysis.solver import Solution
 
 Array = NDArray[np.float64]

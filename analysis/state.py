@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from analysis.problem import Problem
     from analysis.layout import Layout
     from analysis.losses import Loss
+    from analysis.problem import Problem
     from analysis.solver import Solution
 
 Array = NDArray[np.float64]
