@@ -29,7 +29,7 @@ COMMANDS: dict[str, str] = {
     "plan": "poses to a TOML plan: grids, sweeps, lists",
     "capture": "run a plan into a session, or resume one",
     "merge": "RAW brackets to radiance with variance",
-    "reduce": "a session to BRDF samples with uncertainty",
+    "reduce": "a session, or raw files by a recipe, to BRDF samples with uncertainty",
     "fit": "reflectance models to samples of any laboratory",
     "check": "samples of any laboratory: reciprocity, energy, symmetry, noise",
     "convert": "samples to another format, and what that loses",
