@@ -76,6 +76,43 @@ def test_radiances_tools_take_it(tools, tmp_path):
     assert np.median(error) < 0.05
 
 
+@pytest.mark.parametrize(
+    ("model", "theta_i_deg", "phi_i_deg"),
+    [
+        (MODELS["ggx"](kd=0.2, ks=1.0, alpha=0.06, f0=0.1), [0.0, 10.0, 25.0, 40.0, 55.0, 70.0], [0.0]),
+        pytest.param(
+            MODELS["ggx-anisotropic"](kd=0.2, ks=1.0, alpha_x=0.15, alpha_y=0.5, f0=0.2),
+            [0.0, 30.0, 60.0],
+            [0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0],
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["narrow", "anisotropic"],
+)
+def test_radiances_tools_take_other_materials(tools, tmp_path, model, theta_i_deg, phi_i_deg):
+    """Catches headers that hold for a rough isotropic paint only: narrow lobes, azimuths of the light."""
+    theta_o, phi_o = np.radians(np.meshgrid(np.arange(0.0, 86.0, 4.0), np.arange(0.0, 360.0, 8.0)))
+    wo = spherical_to_direction(theta_o.ravel(), phi_o.ravel())
+    lights = [(theta, phi) for theta in theta_i_deg for phi in (phi_i_deg if theta else [0.0])]
+    wi = np.repeat(spherical_to_direction(*np.radians(lights).T), len(wo), axis=0)
+    wo = np.tile(wo, (len(lights), 1))
+    pab.write_folder(make_samples(wi, wo, model.evaluate(wi, wo)), tmp_path / "pab")
+    paths = sorted((tmp_path / "pab").iterdir())
+    assert len(paths) == len(lights)
+    made = tools("pabopto2bsdf", *paths)
+    assert made.stderr == b""
+    sir = tmp_path / "sample.sir"
+    sir.write_bytes(made.stdout)
+    xml = tmp_path / "sample.xml"
+    xml.write_bytes(tools("bsdf2klems", "-n", "60", sir).stdout)
+    assert tools("checkBSDF", xml).stderr == b""
+    patches = read(xml)
+    well = (patches["wi"][:, 2] > 0.6) & (patches["wo"][:, 2] > 0.6)
+    expected = model.evaluate(patches["wi"].to_numpy(), patches["wo"].to_numpy())[well.to_numpy()]
+    given = patches["f_r"].to_numpy()[well.to_numpy()]
+    assert np.median(np.abs(given - expected) / expected) < 0.15
+
+
 def test_read_back(tmp_path):
     """Catches azimuths, cosines or digits lost between writer and reader."""
     samples = paint([0.0, 40.0])
