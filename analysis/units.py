@@ -69,7 +69,8 @@ def _polar_is_radians(theta_deg: Array) -> bool:
 
 
 def _azimuth_is_radians(phi_deg: Array) -> bool:
-    values = np.unique(np.round(np.abs(phi_deg[np.abs(phi_deg) > 1e-6]), 6))
+    sizes = np.asarray(np.abs(phi_deg), dtype=np.float64)
+    values = np.unique(np.round(sizes[sizes > 1e-6], 6))
     return values.size > 0 and _round_as_radians(values, 2.0 * np.pi, AZIMUTH_STEP_DEG, AZIMUTH_SLACK_DEG)
 
 
