@@ -175,14 +175,16 @@ def _raywiz(block: _Block) -> _Table:
 
 
 def _lighttools(block: _Block) -> _Table:
-    azimuth, receive = (
-        _steps(*(block.value(f"{name} measure {end} :") for end in ("beginning", "end", "step")), block.where)
-        for name in ("Phi", "Theta")
-    )
+    azimuth, receive = _measured(block, "Phi"), _measured(block, "Theta")
     found, value = _labelled(block.after("Theta Lighting"), len(azimuth), block)
     if not _same(found, receive):
         raise _wrong_size(block, f"{len(receive)} receive angles")
     return _Table(block.value("Theta Lighting"), azimuth, receive, value)
+
+
+def _measured(block: _Block, angle: str) -> Array:
+    begin, end, step = (block.value(f"{angle} measure {what} :") for what in ("beginning", "end", "step"))
+    return _steps(begin, end, step, block.where)
 
 
 def _speos(block: _Block) -> _Table:
@@ -235,7 +237,7 @@ def _steps(begin: float, end: float, step: float, where: str) -> Array:
         raise BadInput(
             f"{begin:g} to {end:g} by {step:g} is no list of angles", where=where, todo="copy it again"
         )
-    return begin + step * np.arange(count)
+    return np.asarray(begin + step * np.arange(count), dtype=np.float64)
 
 
 def _same(a: Array, b: Array) -> bool:

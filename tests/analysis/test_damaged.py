@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FEW, MANY = 60, 1000
 TOO_LONG_S = 30.0
+SLOWEST_BYTES_PER_S = 2e5
 """A reader that has not answered by then hangs; on a quiet machine an answer takes less than 2 s."""
 
 EXPORTS = ("jdv", "raywiz", "lighttools", "speos")
@@ -60,7 +61,7 @@ class Reader:
         process.stdin.write(f"{path}\n")
         process.stdin.flush()
         try:
-            line = self._lines.get(timeout=TOO_LONG_S)
+            line = self._lines.get(timeout=TOO_LONG_S + path.stat().st_size / SLOWEST_BYTES_PER_S)
         except queue.Empty:
             line = ""
         if line:
