@@ -37,10 +37,10 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     ratio = np.divide(*np.transpose(left_out)[::-1])
     better = float(np.sum(ratio < 1.0))
     return [
-        row("median RMS of ln(1 + f cos)", float(np.median(factored))),
-        row("median RMS over GGX's", float(np.median(factored) / np.median(ggx)), "x", RATIO_BAR),
-        row("RMS over GGX's, worst material", float(np.max(factored / ggx)), "x", 1.0),
-        row("RMS over GGX's at incidences left out, median material", float(np.median(ratio)), "x"),
-        row("RMS over GGX's at incidences left out, worst material", float(np.max(ratio)), "x"),
-        row("materials whose incidences left out it predicts better", better, f"of {len(sets)}"),
+        row("factored: median RMS of ln(1 + f cos)", float(np.median(factored))),
+        row("factored: median RMS over GGX's", float(np.median(factored) / np.median(ggx)), "x", RATIO_BAR),
+        row("factored: RMS over GGX's, worst material", float(np.max(factored / ggx)), "x", 1.0),
+        row("factored: RMS over GGX's at incidences left out, median material", float(np.median(ratio)), "x"),
+        row("factored: RMS over GGX's at incidences left out, worst material", float(np.max(ratio)), "x"),
+        row("factored: materials it predicts better than GGX", better, f"of {len(sets)}"),
     ]
