@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rig.errors import Refused
 from rig.kinematics import Kinematics
-from simulator.light import scene
+from simulator.light import mitsuba_scene
+from simulator.light.scene import HOUSING_HALF_SIZE
 from simulator.materials import load_bsdf
 from simulator.sensor import derived_seed
 
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
     from simulator.materials import Material
 
 Array = NDArray[np.float64]
-
-HOUSING_HALF_SIZE = 1.5
-"""Half the side of the housing's cube, in units of the longer of the lamp's and the camera's distance."""
 
 DEEPEST = 12
 """Events after which a path ends: a housing of albedo 0.5 has lost all but 1e-4 of the light by then."""
@@ -81,8 +79,8 @@ class PathLight:
         description: dict[str, Any] = {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": DEEPEST, "rr_depth": DEEPEST, "hide_emitters": True},
-            "camera": scene.perspective_camera(mi, rig, samples_per_pixel),
-            "lamp": scene.disc_lamp(mi, rig) if mirrors else scene.point_lamp(rig),
+            "camera": mitsuba_scene.perspective_camera(mi, rig, samples_per_pixel),
+            "lamp": mitsuba_scene.disc_lamp(mi, rig) if mirrors else mitsuba_scene.point_lamp(rig),
             "sample": {
                 "type": "rectangle" if grain else "disk",
                 "to_world": mi.ScalarTransform4f().scale(rig.sample.diameter_mm / 2.0),
@@ -91,7 +89,7 @@ class PathLight:
         }
         if housing_albedo > 0.0:
             half_size_mm = HOUSING_HALF_SIZE * max(rig.lamp.distance_mm, rig.camera.distance_mm)
-            description["housing"] = scene.housing(mi, housing_albedo, half_size_mm)
+            description["housing"] = mitsuba_scene.housing(mi, housing_albedo, half_size_mm)
         self._scene = mi.load_dict(description, optimize=False)
         self._parameters = mi.traverse(self._scene)
 
@@ -126,10 +124,10 @@ class PathLight:
 
     def _pose(self, angles_rad: Sequence[float]) -> None:
         mi, frames = self._mi, self._kinematics.frames(np.asarray(angles_rad))
-        placed = scene.camera_placed(mi, frames.camera_mm, frames.camera_rotation)
+        placed = mitsuba_scene.camera_placed(mi, frames.camera_mm, frames.camera_rotation)
         self._parameters["camera.to_world"] = mi.Transform4f(placed)
         if self._mirrors:
-            lamp = scene.disc_lamp_placed(mi, self._rig, frames.light_mm)
+            lamp = mitsuba_scene.disc_lamp_placed(mi, self._rig, frames.light_mm)
             self._parameters["lamp.to_world"] = mi.Transform4f(lamp)
         else:
             self._parameters["lamp.position"] = mi.Point3f(*frames.light_mm.tolist())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
-from simulator.light.scene import camera_rays, point_lamp
+from simulator.light.mitsuba_scene import camera_rays, point_lamp
 from simulator.materials import load_bsdf
 
 if TYPE_CHECKING:

@@ -1,122 +1,171 @@
-"""The rig as Mitsuba sees it: a flat sample at the origin, a small lamp, a pinhole, perhaps a housing.
+"""What is lit: one sample under a small lamp, what surrounds it, as data that every method reads.
 
-Lengths stay in millimetres. The lamp's intensity is its distance squared, so that the irradiance at the
-sample's centre at normal incidence is 1 and a white of albedo rho has a radiance of rho/pi.
+Millimetres and radians in the frame of the sample: its centre is the origin, its normal is +z. The lamp is a
+disc of `rig.lamp.diameter_mm` that faces the sample's centre; its intensity is `lamp_intensity`, so that the
+irradiance there at normal incidence is 1.
 """
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.kinematics import Kinematics
-from rig.pixels import pixel_geometry
+from rig.angles import unit
+from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from rig.description import Rig
+    from simulator.materials import Material
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+HOUSING_HALF_SIZE = 1.5
+"""Half the side of the housing's cube, in units of the longer of the lamp's and the camera's distance."""
 
 
-def lamp_intensity(rig: Rig) -> float:
-    """Radiant intensity of the lamp at level 1, in mm^2 times the unit of irradiance."""
-    return rig.lamp.distance_mm**2
+class Event(StrEnum):
+    """A scattering event, by its letter in `simulator.light.paths`."""
+
+    LAMBERTIAN = "Dl"
+    GLOSSY = "Dg"
+    MIRROR = "S"
 
 
-def camera_rays(rig: Rig) -> Array:
-    """Trace the lens: unit directions of the rays through the pixels' centres, in the camera's frame.
+class Shape(StrEnum):
+    """How the sample is shaped."""
+
+    FLAT = "flat"
+
+
+@dataclass(frozen=True)
+class Housing:
+    """A cube around everything, its middle at the origin, Lambertian and grey inside.
+
+    Parameters
+    ----------
+    albedo : float
+        Above 0, below 1.
+    half_size_mm : float
+        Half its side.
+
+    Raises
+    ------
+    BadInput
+        An albedo that no housing has.
+    """
+
+    albedo: float
+    half_size_mm: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.albedo < 1.0:
+            what = f"a housing of albedo {self.albedo:g}"
+            raise BadInput(what, where="housing", todo="give an albedo above 0 and below 1")
+
+
+@dataclass(frozen=True)
+class PlanarMirror:
+    """A rectangle that mirrors on one side and blocks nothing else that matters.
+
+    Parameters
+    ----------
+    centre_mm : tuple of float
+        Its middle.
+    across_mm, up_mm : tuple of float
+        Half its sides, at right angles; across x up is the normal of the side that mirrors.
+    reflectance : float
+        Between 0 and 1.
+
+    Raises
+    ------
+    BadInput
+        Sides of no length or not at right angles, or a reflectance that no mirror has.
+    """
+
+    centre_mm: Vector
+    across_mm: Vector
+    up_mm: Vector
+    reflectance: float = 1.0
+
+    def __post_init__(self) -> None:
+        across, up = np.asarray(self.across_mm), np.asarray(self.up_mm)
+        lengths = np.linalg.norm(across) * np.linalg.norm(up)
+        if not lengths > 0.0 or abs(across @ up) > 1e-9 * lengths:
+            raise BadInput(
+                "a mirror's sides are not at right angles", where="mirror", todo="give two half sides"
+            )
+        if not 0.0 < self.reflectance <= 1.0:
+            what = f"a mirror of reflectance {self.reflectance:g}"
+            raise BadInput(what, where="mirror", todo="give one above 0, up to 1")
+
+    @cached_property
+    def normal(self) -> Array:
+        """Unit normal of the side that mirrors, shape (3,)."""
+        return unit(np.cross(self.across_mm, self.up_mm))
+
+    @cached_property
+    def corners_mm(self) -> Array:
+        """Corners in order around it, shape (4, 3)."""
+        centre, across, up = (np.asarray(v) for v in (self.centre_mm, self.across_mm, self.up_mm))
+        return centre + np.array([across + up, up - across, -across - up, across - up])
+
+    def image(self, points_mm: Array) -> Array:
+        """Return where points (..., 3) appear in it."""
+        height = (points_mm - np.asarray(self.centre_mm)) @ self.normal
+        return points_mm - 2.0 * height[..., None] * self.normal
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One sample, lit.
 
     Parameters
     ----------
     rig : Rig
-        Whose camera is meant.
-
-    Returns
-    -------
-    ndarray, shape (height * width, 3)
-        Right, down, forward, row by row; backwards, where nothing is, for a pixel that the lens gives no ray.
+        Lamp, camera, sample size, and how poses move them.
+    material : Material
+        What the sample is made of.
+    events : frozenset of Event
+        What the sample can do to light: empty for black; `mitsuba_scene.sample_events` finds it.
+    housing : Housing, optional
+        By default the surroundings are black.
+    mirrors : tuple of PlanarMirror
+        They do not move with any joint.
+    shape : Shape
+        The sample's.
     """
-    park = np.zeros(len(rig.arm_joints))
-    to_sample = -pixel_geometry(rig, park).wo.reshape(-1, 3)
-    rays = to_sample @ Kinematics(rig).frames(park).camera_rotation
-    return np.where(np.isnan(rays), [0.0, 0.0, -1.0], rays)
+
+    rig: Rig
+    material: Material
+    events: frozenset[Event]
+    housing: Housing | None = None
+    mirrors: tuple[PlanarMirror, ...] = ()
+    shape: Shape = Shape.FLAT
+
+    @property
+    def lamp_intensity(self) -> float:
+        """Radiant intensity towards the sample at level 1, in mm^2 times the unit of irradiance."""
+        return self.rig.lamp.distance_mm**2
+
+    @property
+    def lamp_radius_mm(self) -> float:
+        """Radius of the lamp's disc."""
+        return self.rig.lamp.diameter_mm / 2.0
+
+    @property
+    def sample_radius_mm(self) -> float:
+        """Radius of the sample's disc."""
+        return self.rig.sample.diameter_mm / 2.0
 
 
-def point_lamp(rig: Rig) -> dict[str, Any]:
-    """Return the lamp as a point of equal intensity in all directions."""
-    return {
-        "type": "point",
-        "position": [0.0, 0.0, rig.lamp.distance_mm],
-        "intensity": {"type": "rgb", "value": lamp_intensity(rig)},
-    }
-
-
-def disc_lamp(mi: Any, rig: Rig) -> dict[str, Any]:
-    """Return the lamp as a disc of its diameter that faces the sample, which mirrors can show.
-
-    Its irradiance differs from the point's by the cosine at the disc, 1e-3 at the edge of the sample. A
-    sphere's would not, but Mitsuba's single precision samples so small a one with errors of several 1e-3.
-    """
-    radius_mm = rig.lamp.diameter_mm / 2.0
-    radiance = lamp_intensity(rig) / (math.pi * radius_mm**2)
-    return {
-        "type": "disk",
-        "to_world": disc_lamp_placed(mi, rig, np.array([0.0, 0.0, rig.lamp.distance_mm])),
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
-    }
-
-
-def disc_lamp_placed(mi: Any, rig: Rig, light_mm: Array) -> Any:
-    """Return the transformation of the unit disc that puts the lamp at a place, facing the origin."""
-    # Any direction that is not the lamp's own will do for "up" of something round.
-    up = np.eye(3)[np.argmin(np.abs(light_mm))]
-    facing = mi.ScalarTransform4f().look_at(origin=light_mm.tolist(), target=[0.0, 0.0, 0.0], up=up.tolist())
-    return facing @ mi.ScalarTransform4f().scale(rig.lamp.diameter_mm / 2.0)
-
-
-def housing(mi: Any, albedo: float, half_size_mm: float) -> dict[str, Any]:
-    """Return a cube around everything, grey inside."""
-    return {
-        "type": "cube",
-        "flip_normals": True,
-        "to_world": mi.ScalarTransform4f().scale(half_size_mm),
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}},
-    }
-
-
-def camera_placed(mi: Any, camera_mm: Array, camera_rotation: Array) -> Any:
-    """Return the camera's transformation; Mitsuba's camera has +x to the left, +y up and looks along +z."""
-    right, down, forward = camera_rotation.T
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = -right, -down, forward, camera_mm
-    return mi.ScalarTransform4f(matrix.tolist())
-
-
-def perspective_camera(mi: Any, rig: Rig, samples_per_pixel: int) -> dict[str, Any]:
-    """Return the rig's pinhole, without distortion, which Mitsuba's cannot have."""
-    camera = rig.camera
-    width, height = camera.width_px, camera.height_px
-    overview_mm = 4.0 * (camera.distance_mm + rig.lamp.distance_mm)
-    return {
-        "type": "perspective",
-        "fov_axis": "x",
-        "fov": math.degrees(2.0 * math.atan2(width / 2.0, camera.focal_length_px)),
-        "principal_point_offset_x": 0.5 - (camera.principal_point_px[0] + 0.5) / width,
-        "principal_point_offset_y": 0.5 - (camera.principal_point_px[1] + 0.5) / height,
-        # Mitsuba's own far clip would render a large rig black without a word.
-        "near_clip": 1e-4 * camera.distance_mm,
-        "far_clip": 10.0 * overview_mm,
-        "to_world": camera_placed(mi, np.array([0.0, 0.0, camera.distance_mm]), np.diag([1.0, -1.0, -1.0])),
-        "sampler": {"type": "independent", "sample_count": samples_per_pixel},
-        "film": {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "pixel_format": "rgb",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
-    }
+def default_housing(rig: Rig, albedo: float) -> Housing | None:
+    """Return the housing of an albedo that leaves room for both arms; None for albedo 0."""
+    if albedo == 0.0:
+        return None
+    return Housing(albedo, HOUSING_HALF_SIZE * max(rig.lamp.distance_mm, rig.camera.distance_mm))
