@@ -139,6 +139,9 @@ class Scene:
         They do not move with any joint.
     shape : Shape
         The sample's.
+    lamp_cosine : bool
+        Whether the lamp shines as a flat disc does, with the cosine of the angle from its axis, and not
+        backwards; otherwise it shines evenly in all directions.
     """
 
     rig: Rig
@@ -147,6 +150,7 @@ class Scene:
     housing: Housing | None = None
     mirrors: tuple[PlanarMirror, ...] = ()
     shape: Shape = Shape.FLAT
+    lamp_cosine: bool = True
 
     @property
     def lamp_intensity(self) -> float:

@@ -1,0 +1,189 @@
+"""How much of the light over the sample each class of paths can be at a pose: bounds, before anything is lit.
+
+The share of a class is its mean radiance over the pixels that see the sample, over that of all light; its
+bound is the class's own bound over the direct light alone, the larger of the channels', and at most 1. Light
+is followed along every walk of a class (`simulator.light.bounds`); what the sample makes of it in a pose
+needs integrals of f_r over the hemisphere, done here once a pose.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.kinematics import Kinematics
+from rig.pixels import pixel_geometry
+from simulator.light.bounds import CHANNELS, Light, Surroundings
+from simulator.light.classes import SHORT, path_classes, walks
+from simulator.light.hemisphere import hemisphere
+from simulator.light.scene import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from simulator.light.classes import PathClass
+    from simulator.light.scene import Scene
+
+    Reflectance = Callable[["Array", "Array"], "Array"]
+
+Array = NDArray[np.float64]
+
+_NODES = 24
+"""Rows and columns of pixels, of the whole frame, from which the direct light's mean is taken."""
+_MARGIN = 1.05
+"""What the integrals over the hemisphere may be wrong by: their rule does not know the lobe."""
+_THETAS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 80.0, 85.0, 89.0])
+"""Polar angles at which the sample is looked at for light from anywhere."""
+
+
+class Shares:
+    """Bounds of the shares of a scene's path classes.
+
+    Parameters
+    ----------
+    scene : Scene
+    reflectance : callable
+        (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in 1/sr, of the sample's parts that scatter.
+    """
+
+    def __init__(self, scene: Scene, reflectance: Reflectance) -> None:
+        self._scene, self._reflectance = scene, reflectance
+        self.classes: tuple[PathClass, ...] = path_classes(scene)
+        self._kinematics = Kinematics(scene.rig)
+        if len(self.classes) > 1:
+            self._surroundings = Surroundings(scene, *self._over_all_directions())
+            self._before_longer = () if self.classes[-1].walks else tuple(walks(scene, SHORT))
+
+    def bounds(self, angles_rad: Sequence[float]) -> tuple[float, ...]:
+        """Bound each class's share at a pose.
+
+        Parameters
+        ----------
+        angles_rad : sequence of float
+            True angles of the arm joints.
+
+        Returns
+        -------
+        tuple of float
+            In the order of `classes`; between 0 and 1, and 1 where no bound is known.
+        """
+        if len(self.classes) < 2:
+            return (1.0,) * len(self.classes)
+        pose = _Pose.look(self._scene, self._kinematics, self._reflectance, angles_rad)
+        if pose is None:
+            return (1.0,) * len(self.classes)
+        direct = pose.lit(pose.lamp_mm, 1.0)
+        return tuple(_share(self._radiance(pose, path_class), direct) for path_class in self.classes)
+
+    def _over_all_directions(self) -> tuple[Array, Array]:
+        """Largest albedo, and largest f_r times a cosine, for light from anywhere; (channels,) each."""
+        found = [
+            hemisphere(self._reflectance, np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]))
+            for t in _THETAS
+            for p in (0.0, 0.5 * np.pi)
+        ]
+        albedo = np.max([np.pi * f.least + _MARGIN * f.rest for f in found], axis=0)
+        return albedo, _MARGIN * np.max([f.largest_cosine for f in found], axis=0)
+
+    def _radiance(self, pose: _Pose, path_class: PathClass) -> Array | None:
+        """Mean radiance of a class, at most; None where no bound is known."""
+        if not path_class.walks:
+            return self._longer(pose)
+        total = np.zeros(CHANNELS)
+        for walk in path_class.walks:
+            light = self._surroundings.along(walk[:-1], pose.lamp_mm)
+            arrived = self._camera(pose, light, walk[-1][1])
+            if arrived is None:
+                return None
+            total += arrived
+        return total
+
+    def _camera(self, pose: _Pose, light: Light, event: Event) -> Array | None:
+        """Mean radiance (channels,) of the sample, at most, lit by what is on its way."""
+        around = self._surroundings
+        if event is Event.MIRROR:
+            # The lamp in a mirror is brighter than all else; how bright the sample is in one is not known.
+            unknown = light.lamp_mm is not None or light.sample.any()
+            return None if unknown else around.radiance_on_sample(light)
+        if light.lamp_mm is not None:
+            if not around.reaches_sample(light):
+                return np.zeros(CHANNELS)
+            return pose.lit(light.lamp_mm, light.kept)
+        brightest = around.radiance_on_sample(light)
+        found = pose.largest * around.sample_on_itself(light)
+        # What f_r is at least, all walls light together; the rest may look where they are brightest.
+        return found + pose.least * around.irradiance_of_sample(light) + pose.rest * brightest
+
+    def _longer(self, pose: _Pose) -> Array | None:
+        """Mean radiance of all paths beyond the short ones, at most: a geometric series."""
+        around = self._surroundings
+        lights = [around.along(walk, pose.lamp_mm) for walk in self._before_longer]
+        if any(light.lamp_mm is not None for light in lights):
+            return None
+        total = around.series(lights)
+        if total is None or (Event.MIRROR in self._scene.events and total.sample.any()):
+            return None
+        brightest = around.radiance_on_sample(total)
+        mirrored = brightest if Event.MIRROR in self._scene.events else 0.0
+        scattered = (np.pi * pose.least + pose.rest) * brightest
+        return scattered + mirrored + pose.largest * around.sample_on_itself(total)
+
+
+def _share(radiance: Array | None, direct: Array) -> float:
+    if radiance is None:
+        return 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(radiance > 0.0, radiance / direct, 0.0)
+    return float(min(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0).max()))
+
+
+class _Pose:
+    """What a pose decides, for all classes.
+
+    Attributes
+    ----------
+    lamp_mm : ndarray, shape (3,)
+    least, rest, largest : ndarray, shape (channels,)
+        As in `hemisphere`, over the directions of the camera.
+    """
+
+    def __init__(
+        self, scene: Scene, reflectance: Reflectance, lamp_mm: Array, points_mm: Array, wo: Array
+    ) -> None:
+        self._scene, self._reflectance = scene, reflectance
+        self.lamp_mm, self._points_mm, self._wo = lamp_mm, points_mm, wo
+        ends = wo[[np.argmin(wo[:, 2]), np.argmax(wo[:, 2])]]
+        found = [hemisphere(reflectance, end) for end in ends]
+        self.least = np.min([f.least for f in found], axis=0)
+        total = np.max([np.pi * f.least + _MARGIN * f.rest for f in found], axis=0)
+        self.rest = total - np.pi * self.least
+        self.largest = _MARGIN * np.max([f.largest_cosine for f in found], axis=0)
+
+    @classmethod
+    def look(
+        cls, scene: Scene, kinematics: Kinematics, reflectance: Reflectance, angles_rad: Sequence[float]
+    ) -> _Pose | None:
+        """Look at a pose; None where the camera does not see the sample."""
+        camera = scene.rig.camera
+        rows, cols = (np.linspace(0, n - 1, min(n, _NODES)) for n in (camera.height_px, camera.width_px))
+        pixels = pixel_geometry(scene.rig, angles_rad, rows=rows, cols=cols)
+        if not pixels.on_sample.any():
+            pixels = pixel_geometry(scene.rig, angles_rad)
+        seen = pixels.on_sample
+        if not seen.any():
+            return None
+        points = np.column_stack([pixels.position_mm[seen], np.zeros(int(seen.sum()))])
+        return cls(scene, reflectance, kinematics.frames(angles_rad).light_mm, points, pixels.wo[seen])
+
+    def lit(self, lamp_mm: Array, kept: float) -> Array:
+        """Mean radiance (channels,) of the sample lit by the lamp, or by an image that nothing hides."""
+        way = lamp_mm - self._points_mm
+        distance = np.linalg.norm(way, axis=-1)
+        above = way[:, 2] > 0.0
+        wi = way[above] / distance[above, None]
+        radiance = np.zeros((len(way), CHANNELS))
+        irradiance = kept * self._scene.lamp_intensity * wi[:, 2] / distance[above] ** 2
+        radiance[above] = self._reflectance(wi, self._wo[above]) * irradiance[:, None]
+        return np.asarray(radiance.mean(axis=0))
