@@ -25,7 +25,7 @@ from analysis.identifiability import (
     correlation_matrix,
     one_each,
 )
-from analysis.instrument import Seen, instrument_of
+from analysis.instrument import Seen, Spread, instrument_of
 from analysis.layout import layout_of
 from analysis.metrics import goodness
 from analysis.models import MODELS
@@ -196,8 +196,12 @@ def _model(goal: Goal, blocks: tuple[Block, ...]) -> Model:
 
 
 def _seen(goal: Goal, blocks: tuple[Block, ...]) -> Model | Seen:
-    """Return the model as the instrument sees it: where any channel is averaged, all are."""
-    model, spreads = _model(goal, blocks), [b.problem.spread for b in blocks if b.problem.spread is not None]
+    """Return the model as the instrument sees it: where any channel is averaged, all are.
+
+    A gain is too small to change a gradient.
+    """
+    model = _model(goal, blocks)
+    spreads = [b.problem.spread for b in blocks if isinstance(b.problem.spread, Spread)]
     if not spreads:
         return model
     rows = np.any([spread.rows for spread in spreads], axis=0)

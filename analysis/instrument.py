@@ -166,6 +166,62 @@ class Spread:
 
 
 @dataclass(frozen=True, eq=False)
+class Gain:
+    """By how much a wide lobe's mean over both discs exceeds its value at their centres: kept fixed.
+
+    What the discs change is so little then that how it changes with the parameters does not matter: a fit
+    costs what it costs without an instrument, and the gain is taken again at what it found.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        The discs.
+    share : dict of str to ndarray, shape (N, 1)
+        For each of the model's terms, the mean over the value, less 1.
+    """
+
+    instrument: Instrument
+    share: dict[str, Array]
+
+    @classmethod
+    def of(cls, model: Model, geometry: Geometry, instrument: Instrument) -> Gain:
+        """Take the gain of one set of shapes, to the second order in the discs' radii.
+
+        To that order the discs do not know of one another, and their gains are added.
+        """
+        wi, wo = geometry.wi, geometry.wo
+        every, terms = np.ones(len(wi), dtype=bool), model.terms_at(geometry)
+        share = {name: np.zeros((len(wi), 1)) for name in terms}
+        for alone in (replace(instrument, source_rad=0.0), replace(instrument, receiver_rad=0.0)):
+            for name, mean in Spread(alone, wi, wo, every, 1).average(model, terms).items():
+                value = np.broadcast_to(terms[name].value, mean.value.shape)
+                # Where a lobe underflows there is nothing to raise.
+                share[name] += (
+                    np.where(value > 0.0, mean.value / np.where(value > 0.0, value, 1.0), 1.0) - 1.0
+                )
+        return cls(instrument, share)
+
+    @property
+    def beyond(self) -> Gain:
+        """The gain with the size of what it leaves out, of fourth order, added."""
+        return replace(self, share={name: share + np.square(share) for name, share in self.share.items()})
+
+    def some(self, rows: NDArray[np.intp]) -> Gain:
+        """Return the gain of some of the samples."""
+        return replace(self, share={name: share[rows] for name, share in self.share.items()})
+
+    def average(self, model: Model, terms: dict[str, Lobe]) -> dict[str, Lobe]:  # noqa: ARG002 - as Spread
+        """Raise a model's terms (N, M)."""
+        return {
+            name: Lobe(
+                term.value * (1.0 + self.share[name]),
+                {key: slope * (1.0 + self.share[name]) for key, slope in term.slopes.items()},
+            )
+            for name, term in terms.items()
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class Seen:
     """A model as an instrument sees it at the samples of a spread, or at directions close to theirs."""
 

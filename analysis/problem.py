@@ -13,7 +13,7 @@ from analysis.models.base import Geometry, Kind, Parameter
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from analysis.instrument import Spread
+    from analysis.instrument import Gain, Spread
     from analysis.models.base import Lobe, Model
 
 Array = NDArray[np.float64]
@@ -69,14 +69,14 @@ class Problem:
         The samples' N pairs of directions.
     channels : int
         Number C of channels.
-    spread : Spread, optional
+    spread : Spread or Gain, optional
         Samples at which the mean over the instrument's discs takes the place of the value at their centres.
     """
 
     model: type[Model]
     geometry: Geometry
     channels: int
-    spread: Spread | None = None
+    spread: Spread | Gain | None = None
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:

@@ -4,6 +4,9 @@ The test is cheap: over a small disc of radius a the mean of f exceeds its centr
 Laplacian, and rings of four nodes on each disc measure that second moment without forming it. What a mean
 changes is judged in residuals: leaving out changes whose squares sum to d^2 moves no parameter by more than
 d of its own standard uncertainty, because the move is a projection of them.
+
+Three answers, cheapest first: nothing to do; a lobe that is wide beside the discs is raised by its second
+moment, found anew after each fit until it stays; a narrow one is averaged inside the fit.
 """
 
 from __future__ import annotations
@@ -15,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.identifiability import half_width
-from analysis.instrument import Instrument, Spread
+from analysis.instrument import Gain, Instrument, Spread
 from analysis.models.base import Coordinate
 from analysis.solver import follow
 
 if TYPE_CHECKING:
     from analysis.losses import Loss
+    from analysis.models.base import Model
     from analysis.problem import Problem
     from analysis.solver import Solution
 
@@ -32,6 +36,8 @@ FINEST = 3
 """Highest order of the rule."""
 ROUNDS = 4
 """Times that a narrower lobe may ask for more samples, or for a finer rule."""
+MILD = 0.03
+"""A lobe is wide where the discs change it by less than this share, in the mean square over its residuals."""
 NARROWER = (0.5, 0.25)
 """Widths, as shares of that of the lobe as it is seen, from which the lobe itself is searched."""
 
@@ -61,6 +67,39 @@ def resolve(
     """
     if not problem.has_lobe:
         return problem, solution
+    if not isinstance(problem.spread, Spread):
+        raised = _raised(problem, loss, solution, instrument, scatter)
+        if raised is not None:
+            return raised
+        problem = replace(problem, spread=None)
+    return _averaged(problem, loss, solution, instrument, scatter)
+
+
+def _raised(
+    problem: Problem, loss: Loss, solution: Solution, instrument: Instrument, scatter: Array | float
+) -> tuple[Problem, Solution] | None:
+    """Fit a wide lobe with its gain by the discs; None where it is not wide, or the gain does not settle."""
+    for _ in range(ROUNDS):
+        gain = Gain.of(_model(problem, solution), problem.geometry, instrument)
+        now, point, raised, beyond = (
+            _residual(replace(problem, spread=spread), loss, solution) / scatter
+            for spread in (problem.spread, None, gain, gain.beyond)
+        )
+        dull = replace(solution, ks=np.zeros_like(solution.ks))
+        lobe = point - _residual(replace(problem, spread=None), loss, dull) / scatter
+        if _squares(raised - point) > MILD**2 * _squares(lobe) or _squares(beyond - raised) > TOLERATED**2:
+            return None
+        if _squares(raised - now) <= TOLERATED**2:
+            return problem, solution
+        problem = replace(problem, spread=gain)
+        solution = follow(problem, loss, solution.shapes[None])[0]
+    return None
+
+
+def _averaged(
+    problem: Problem, loss: Loss, solution: Solution, instrument: Instrument, scatter: Array | float
+) -> tuple[Problem, Solution]:
+    """Fit with the mean over both discs at every sample that needs it."""
     for _ in range(ROUNDS):
         finer = _finer(problem, loss, solution, instrument, scatter)
         if finer is problem:
@@ -74,7 +113,9 @@ def _finer(
     problem: Problem, loss: Loss, solution: Solution, instrument: Instrument, scatter: Array | float
 ) -> Problem:
     """Return the problem with every sample that needs it averaged well enough; itself where that is so."""
-    rows = np.zeros(len(problem.geometry.wi), dtype=bool) if problem.spread is None else problem.spread.rows
+    spread = problem.spread if isinstance(problem.spread, Spread) else None
+    rows = np.zeros(len(problem.geometry.wi), dtype=bool) if spread is None else spread.rows
+    first = 1 if spread is None else spread.order
     change = second_moment(problem, loss, solution, instrument) / scatter
     squares = np.where(rows, 0.0, np.einsum("nc,nc->n", change, change))
     order = np.argsort(squares)
@@ -83,7 +124,6 @@ def _finer(
     wanted = rows | more
     if not wanted.any():
         return problem
-    first = 1 if problem.spread is None else problem.spread.order
     geometry = problem.geometry
     spread = Spread(instrument, geometry.wi, geometry.wo, wanted, first)
     coarse = _residual(replace(problem, spread=spread), loss, solution)
@@ -115,6 +155,14 @@ def second_moment(problem: Problem, loss: Loss, solution: Solution, instrument: 
 def _residual(problem: Problem, loss: Loss, solution: Solution) -> Array:
     terms = problem.terms(solution.shapes[None])
     return loss.residual(terms.values(solution.kd[None], solution.ks[None])[0].T)
+
+
+def _model(problem: Problem, solution: Solution) -> Model:
+    return problem.model(**problem.natural(solution.shapes[None]))
+
+
+def _squares(residual: Array) -> float:
+    return float(np.einsum("nc,nc->", residual, residual))
 
 
 def _starts(problem: Problem, solution: Solution) -> Array:

@@ -47,7 +47,7 @@ class Block:
         if self.problem.has_lobe:
             values["ks"] = self.solution.ks
         shapes = self.problem.natural(self.solution.shapes[None])
-        return values | {name: value[0] for name, value in shapes.items()}
+        return values | {name: np.asarray(value[0]) for name, value in shapes.items()}
 
     def residual_scatter(self) -> Array | float:
         """Return the standard deviation of the residuals: of each, or of all."""

@@ -10,7 +10,7 @@ import pytest
 from analysis.bootstrap import bootstrap
 from analysis.fit import fit
 from analysis.identifiability import Kind
-from analysis.instrument import Instrument, Seen, Spread, around, disc_nodes, instrument_of
+from analysis.instrument import Gain, Instrument, Seen, Spread, around, disc_nodes, instrument_of
 from analysis.intervals import profile_intervals
 from analysis.models import MODELS
 from analysis.models.base import Geometry
@@ -171,6 +171,38 @@ def test_a_wide_lobe_needs_no_instrument():
     assert np.sqrt(np.sum(np.square(change))) < TOLERATED
     estimate = second_moment(state.problem, state.loss, solution, Instrument(0.004, 0.004))
     np.testing.assert_allclose(estimate, change, atol=0.02 * np.abs(change).max())
+
+
+def test_a_wide_lobe_is_raised_and_not_averaged(monkeypatch):
+    """Catches a gain that does not settle, or another answer than that of the mean inside the fit."""
+    samples = blurred(0.2, Instrument(0.01, 0.008), noise=0.002)
+    raised = fit(samples, "ggx")
+    assert isinstance(raised.state.problem.spread, Gain)
+    monkeypatch.setattr("analysis.resolution.MILD", 0.0)
+    averaged = fit(samples, "ggx")
+    assert isinstance(averaged.state.problem.spread, Spread)
+    plain = fit(samples, "ggx", instrument=False)
+    assert abs(plain.parameters["alpha"] - averaged.parameters["alpha"]) > 2.0 * averaged.u["alpha"]
+    for name, u in averaged.u.items():
+        assert np.all(np.abs(raised.parameters[name] - averaged.parameters[name]) < 2.0 * TOLERATED * u), name
+        np.testing.assert_allclose(raised.u[name], u, rtol=0.02)
+
+
+def test_a_gain_leaves_out_its_square_at_most():
+    """Catches a bound on what is left out that does not hold, and light at an underflow."""
+    discs, (wi, wo) = Instrument(0.02, 0.015), around_the_mirror(300, 0.1)
+    model, geometry = (
+        MODELS["ggx"](alpha=np.array([0.1]), f0=np.array([0.05]), kd=0.2, ks=0.9),
+        Geometry(wi, wo),
+    )
+    terms = model.terms_at(geometry)
+    gain = Gain.of(model, geometry, discs)
+    exact = Spread(discs, wi, wo, np.ones(300, dtype=bool), 4).average(model, terms)["ks"].value
+    error = np.abs(gain.average(model, terms)["ks"].value / exact - 1.0)
+    assert np.max(np.abs(gain.share["ks"])) > 1e-2
+    assert np.max(error) < 3.0 * np.max(np.square(gain.share["ks"]))
+    assert np.all(np.isfinite(gain.share["kd"]))
+    np.testing.assert_allclose(gain.share["kd"], 0.0, atol=1e-14)
 
 
 def test_a_lobe_lost_in_the_instrument_is_said_so():
