@@ -81,7 +81,7 @@ def pixel_geometry(
     PixelGeometry
     """
     frames = Kinematics(rig).frames(angles_rad)
-    rays = _rays(rig, rows, cols) @ frames.camera_rotation.T
+    rays = camera_rays(rig, rows, cols) @ frames.camera_rotation.T
     camera = frames.camera_mm
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = -camera[2] / rays[..., 2]
@@ -174,8 +174,20 @@ def _disc_solid_angle_sr(diameter_mm: float, distance_mm: float) -> float:
     return 4.0 * math.pi * math.sin(half_angle / 2.0) ** 2
 
 
-def _rays(rig: Rig, rows: npt.ArrayLike | None, cols: npt.ArrayLike | None) -> FloatArray:
-    """Compute unit vectors (H, W, 3) through pixel centres in camera coordinates."""
+def camera_rays(rig: Rig, rows: npt.ArrayLike | None = None, cols: npt.ArrayLike | None = None) -> FloatArray:
+    """Directions of the pixels' rays in camera coordinates: right, down, forward.
+
+    Parameters
+    ----------
+    rig : Rig
+    rows, cols : array_like, shape (H,) and (W,), optional
+        As in `pixel_geometry`.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 3)
+        Unit vectors; NaN for a pixel that the lens gives no ray.
+    """
     camera = rig.camera
     v = np.arange(camera.height_px) if rows is None else np.asarray(rows)
     u = np.arange(camera.width_px) if cols is None else np.asarray(cols)
