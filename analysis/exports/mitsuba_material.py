@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from analysis.appearance import sphere_delta_e
 from analysis.exports.colours import to_linear_srgb
 from analysis.exports.exported import Exported, compared_directions, relative
-from analysis.formats.rgl import table_of
+from analysis.formats.rgl_resample import table_of
 from analysis.formats.rgl_table import Table
 from analysis.formats.tensor import write_tensors
 

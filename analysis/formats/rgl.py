@@ -1,61 +1,30 @@
 """Measured BSDFs of the RGL database and of Mitsuba's `measured`: tensor files of f_r cos(theta_o).
 
 Reading gives the value at the table's own nodes, divided by the cosine; negative values stay. Linear RGB of
-unnamed primaries unless the file names wavelengths. Writing makes an isotropic table that the samples are
-interpolated onto. To keep a file's tensors as they are, use `analysis.formats.tensor`.
+unnamed primaries unless the file names wavelengths. The file itself stays with the samples: as long as nobody
+changes them, writing gives its tensors bit for bit. Other samples are interpolated onto an isotropic table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from analysis.formats.loss import Loss, compared
+from analysis.formats.loss import Loss, unchanged
+from analysis.formats.rgl_layout import LAYOUT, nodes_of, own_tensors, with_layout
+from analysis.formats.rgl_resample import resample
 from analysis.formats.rgl_table import Table
-from analysis.formats.scattered import Usable, interpolant_of, usable
 from analysis.formats.tensor import MAGIC, read_tensors, write_tensors
-from analysis.interpolation.trend import fit_trend
 from analysis.samples import make_samples
-from rig.angles import spherical_to_direction, unit
-from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import xarray as xr
 
-    from analysis.interpolation import Interpolant
-
-Array = NDArray[np.float64]
-Lookup = Callable[[Array, Array], tuple[Array, NDArray[np.bool_]]]
-
 NAME = "RGL .bsdf"
 OPTIONS = ("no_cosine",)
 SUFFIX = ".bsdf"
 RGB = ("R", "G", "B")
-
-LOWEST_COSINE = 0.02
-"""Nodes nearer to grazing view (88.9 deg) are left out: dividing by the cosine would only show rounding."""
-
-SIDE = 193
-"""Nodes of a written table along the half vector's azimuth and polar angle: Mitsuba wants a square."""
-
-AZIMUTH_STEP = 3
-"""Only each third azimuth is looked up, what is between is linear: surfaces change faster along theta_h."""
-
-LARGEST_STEP_RAD = np.radians(3.0)
-"""Step between the polar angles of the light in a written table; those of the samples are all among them."""
-
-FORMULA_THETA_I = np.radians(np.append(np.arange(0.0, 88.0, 2.0), [88.0, 89.5]))
-"""Polar angles of the light of a table that a formula fills."""
-
-HORIZON_COSINE = 0.01
-"""f_r at the horizon is taken from so far above it."""
-
-PROFILE_COLUMNS = 513
 
 
 def sniff(head: bytes) -> bool:
@@ -83,26 +52,20 @@ def read(path: Path, *, no_cosine: bool = False) -> xr.Dataset:
         If the file is damaged or lacks a field of a measured BSDF.
     """
     table = Table(read_tensors(path), str(path))
-    theta_i, phi_i, theta_h, phi_h = table.half_vectors()
-    wi = spherical_to_direction(theta_i, phi_i)
-    half = spherical_to_direction(theta_h, phi_h)
-    wo = unit(2.0 * (wi * half).sum(-1, keepdims=True) * half - wi)
-    seen = (wo[:, 2] > LOWEST_COSINE) & (wi[:, 2] > LOWEST_COSINE)
-    wi, wo = wi[seen], wo[seen]
-    value = table.evaluate(wi, wo)
-    wavelengths = table.wavelengths
-    return make_samples(
-        wi,
-        wo,
-        value if no_cosine else value / wo[:, 2:],
-        channels=RGB if wavelengths is None else None,
-        wavelength_nm=wavelengths,
+    nodes = nodes_of(table)
+    samples = make_samples(
+        nodes.wi,
+        nodes.wo,
+        nodes.value if no_cosine else nodes.value / nodes.wo[:, 2:],
+        channels=RGB if table.wavelengths is None else None,
+        wavelength_nm=table.wavelengths,
         source=path.name,
     )
+    return with_layout(samples, path.read_bytes())
 
 
 def write(samples: xr.Dataset, path: Path) -> Loss:
-    """Write samples as an isotropic table, one channel as grey.
+    """Write samples: those of a table as that table, others as an isotropic one, one channel as grey.
 
     Parameters
     ----------
@@ -121,187 +84,10 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     BadInput
         If the samples are too few, lie in one plane, or have channels that the format cannot hold.
     """
+    tensors = own_tensors(samples)
+    if tensors is not None:
+        write_tensors(path, tensors)
+        return unchanged(samples, samples.sizes["sample"], kept=("wavelength_nm", LAYOUT))
     tensors, loss = resample(samples)
     write_tensors(path, tensors)
     return loss
-
-
-def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
-    """Interpolate samples onto the nodes of a table; see `write`.
-
-    Returns
-    -------
-    tensors : dict of str to ndarray
-        What a tensor file of a measured BSDF holds.
-    loss : Loss
-        How far the table is from the samples.
-    """
-    given = usable(samples)
-    wavelengths = samples["wavelength_nm"].to_numpy() if "wavelength_nm" in samples.coords else None
-    if wavelengths is None and given.f_r.shape[1] == 1:
-        given = Usable(*given[:2], *(np.repeat(column, 3, axis=1) for column in given[2:]))
-    if wavelengths is None and given.f_r.shape[1] != 3:
-        raise BadInput(
-            f"{given.f_r.shape[1]} channels without wavelengths",
-            where="samples",
-            todo="this format holds one channel, three, or known wavelengths",
-        )
-    interpolant = interpolant_of(given)
-    profile = interpolant.trend.profile
-
-    def between(wi: Array, wo: Array) -> tuple[Array, NDArray[np.bool_]]:
-        found = interpolant(wi, wo)
-        return found.f_r, found.hole
-
-    grid = _nodes(between, profile, _incidences(interpolant))
-    tensors = tensors_of(
-        grid.theta_i, grid.values, profile, wavelengths, str(samples.attrs.get("source", ""))
-    )
-    table = Table(tensors, "samples")
-    back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
-    loss = compared(samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm",))
-    return tensors, loss
-
-
-def table_of(evaluate: Callable[[Array, Array], Array], source: str) -> dict[str, NDArray[Any]]:
-    """Evaluate an isotropic formula onto a table of linear RGB.
-
-    Parameters
-    ----------
-    evaluate : callable
-        (wi, wo) -> f_r (N, 3).
-    source : str
-        What the formula is.
-    """
-    theta = np.radians(np.linspace(0.0, 88.0, 12))
-    grid = np.meshgrid(theta, theta, np.linspace(0.0, np.pi, 12), indexing="ij")
-    wi, wo = (
-        spherical_to_direction(polar.ravel(), azimuth.ravel())
-        for polar, azimuth in ((grid[0], np.zeros_like(grid[0])), (grid[1], grid[2]))
-    )
-    wi, wo = np.concatenate([wi, wi]), np.concatenate([wo, unit(wi * [-1.0, -1.0, 1.0] + 0.2 * wo)])
-    profile = fit_trend(wi, wo, evaluate(wi, wo)).profile
-
-    def everywhere(wi: Array, wo: Array) -> tuple[Array, NDArray[np.bool_]]:
-        return evaluate(wi, wo), np.zeros(len(wi), dtype=bool)
-
-    nodes = _nodes(everywhere, profile, FORMULA_THETA_I)
-    return tensors_of(nodes.theta_i, nodes.values, profile, None, source)
-
-
-def tensors_of(
-    theta_i: Array, values: Array, profile: Callable[[Array], Array], wavelengths: Array | None, source: str
-) -> dict[str, NDArray[Any]]:
-    """Put an isotropic table together.
-
-    Parameters
-    ----------
-    theta_i : ndarray, shape (T,)
-        Increasing polar angles of the light, in radians.
-    values : ndarray, shape (T, C, `SIDE`, `SIDE`)
-        f_r cos(theta_o) / profile at the half vectors of `half_vectors`.
-    profile : callable
-        Positive function of the half vector's radius sqrt(2 theta_h / pi).
-    wavelengths : ndarray, shape (C,), or None
-        In nm; None for linear RGB.
-    source : str
-        Where the values come from.
-    """
-    tensors: dict[str, NDArray[Any]] = {
-        "theta_i": theta_i.astype(np.float32),
-        "phi_i": np.zeros(1, np.float32),
-        "sigma": np.full((2, 2), 0.25, np.float32),
-        "ndf": np.tile(profile(np.linspace(0.0, 1.0, PROFILE_COLUMNS)), (2, 1)).astype(np.float32),
-        "vndf": np.ones((1, theta_i.size, 2, 2), np.float32),
-        "luminance": _sampling_density(profile, values)[None].astype(np.float32),
-        "rgb" if wavelengths is None else "spectra": values[None].astype(np.float32),
-        "jacobian": np.ones(1, np.uint8),
-        "description": np.frombuffer(f"gonio: {source}".encode(), np.uint8),
-    }
-    if wavelengths is not None:
-        tensors["wavelengths"] = wavelengths.astype(np.float32)
-    return tensors
-
-
-def half_vectors() -> Array:
-    """Half vectors of each third azimuth of a written table, shape (65 `SIDE`, 3), the light at azimuth 0."""
-    radius, phi = np.linspace(0.0, 1.0, SIDE), np.linspace(-np.pi, np.pi, SIDE)[::AZIMUTH_STEP]
-    return spherical_to_direction(*np.meshgrid(radius**2 * (np.pi / 2.0), phi)).reshape(-1, 3)
-
-
-def all_azimuths(values: Array) -> Array:
-    """Fill in the azimuths between those of `half_vectors`, shape (C, 65 `SIDE`) to (C, `SIDE`, `SIDE`)."""
-    coarse = values.reshape(len(values), -1, SIDE)
-    filled = np.empty((len(values), SIDE, SIDE))
-    filled[:, ::AZIMUTH_STEP] = coarse
-    for step in range(1, AZIMUTH_STEP):
-        part = step / AZIMUTH_STEP
-        filled[:, step::AZIMUTH_STEP] = (1.0 - part) * coarse[:, :-1] + part * coarse[:, 1:]
-    return filled
-
-
-class _Grid(NamedTuple):
-    """A table's polar angles and values; nodes above the surface, and those without samples nearby."""
-
-    theta_i: Array
-    values: Array
-    cells: int
-    filled: int
-
-
-def _incidences(interpolant: Interpolant) -> Array:
-    """Polar angles of the light: those of the samples' layers, and steps small enough between them."""
-    ends = interpolant.theta_i if interpolant.theta_i.size else np.array([0.0, interpolant.largest_theta_i])
-    steps = np.maximum(np.ceil(np.diff(ends) / LARGEST_STEP_RAD - 1e-6), 1).astype(int)
-    parts = [
-        np.linspace(below, above, step, endpoint=False)
-        for below, above, step in zip(ends[:-1], ends[1:], steps, strict=True)
-    ]
-    return np.concatenate([*parts, ends[-1:]])
-
-
-def _nodes(lookup: Lookup, profile: Callable[[Array], Array], theta_i: Array) -> _Grid:
-    """Values over the profile; `lookup` gives f_r (N, C) and where it is a guess (N,).
-
-    Below the horizon f_r is that of the horizon and the cosine keeps its negative sign, so that what lies
-    between a node above and one below runs through zero where it should.
-    """
-    half = half_vectors()
-    over = np.resize(profile(np.linspace(0.0, 1.0, SIDE)), len(half))[:, None]
-    values, cells, filled = [], 0, 0
-    for theta in theta_i:
-        light = np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape)
-        camera = unit(2.0 * (light * half).sum(-1, keepdims=True) * half - light)
-        wanted = _near_the_horizon(camera[:, 2])
-        found, hole = lookup(light[wanted], _lifted(camera[wanted]))
-        f_r = np.zeros((len(half), found.shape[1]))
-        f_r[wanted] = found
-        values.append(all_azimuths((f_r * camera[:, 2:] / over).T))
-        above = camera[wanted, 2] > 0.0
-        cells += int(np.count_nonzero(above))
-        filled += int(np.count_nonzero(hole & above))
-    return _Grid(theta_i, np.stack(values), cells, filled)
-
-
-def _near_the_horizon(cosine: Array) -> NDArray[np.intp]:
-    """Nodes above the horizon and their neighbours below it: no others are looked up."""
-    above = cosine.reshape(-1, SIDE) > 0.0
-    grown = above.copy()
-    for axis in (0, 1):
-        for step in (-1, 1):
-            grown |= np.roll(grown, step, axis=axis)
-    return np.flatnonzero(grown)
-
-
-def _lifted(camera: Array) -> Array:
-    """Directions, those below the horizon lifted above it."""
-    lifted = camera.copy()
-    lifted[:, 2] = np.maximum(lifted[:, 2], HORIZON_COSINE)
-    return unit(lifted)
-
-
-def _sampling_density(profile: Callable[[Array], Array], values: Array) -> Array:
-    """Density (theta_i, rows, columns) that renderers draw directions from: positive everywhere."""
-    brightness = values.mean(axis=1) * profile(np.linspace(0.0, 1.0, SIDE))
-    floored: Array = np.maximum(brightness, 1e-3 * np.abs(brightness).max(axis=(1, 2), keepdims=True) + 1e-30)
-    return floored

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -68,18 +69,26 @@ def read_tensors(path: Path) -> Tensors:
     size = path.stat().st_size
     if size > LARGEST_BYTES:
         raise BadInput(f"is {size / 1024**2:.0f} MB, more than gonio reads", where=str(path))
-    with path.open("rb") as stream:
-        fields = _read_header(stream, size, path)
-        return {field.name: _read_array(stream, field) for field in fields}
+    return unpack_tensors(path.read_bytes(), str(path))
+
+
+def unpack_tensors(content: bytes, where: str) -> Tensors:
+    """Read all arrays from a tensor file's bytes; see `read_tensors`, `where` names them in errors."""
+    stream = BytesIO(content)
+    fields = _read_header(stream, len(content), where)
+    return {field.name: _read_array(stream, field) for field in fields}
 
 
 def write_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays as a tensor file.
+    """Write arrays as a tensor file; see `pack_tensors`."""
+    path.write_bytes(pack_tensors(tensors))
+
+
+def pack_tensors(tensors: Mapping[str, NDArray[Any]]) -> bytes:
+    """Give the bytes of a tensor file.
 
     Parameters
     ----------
-    path : Path
-        Where to.
     tensors : mapping of str to ndarray
         Arrays of one of the types of `TYPES`.
 
@@ -104,7 +113,7 @@ def write_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:
         header += [first, struct.pack("<BQ", numbers[kind], place + padding), shape]
         body += [bytes(padding), array.tobytes()]
         place += padding + array.nbytes
-    path.write_bytes(b"".join(header + body))
+    return b"".join(header + body)
 
 
 def _head(name: str, array: NDArray[Any]) -> tuple[bytes, bytes]:
@@ -116,24 +125,24 @@ def _head(name: str, array: NDArray[Any]) -> tuple[bytes, bytes]:
     )
 
 
-def _read_header(stream: BinaryIO, size: int, path: Path) -> list[_Field]:
+def _read_header(stream: BinaryIO, size: int, where: str) -> list[_Field]:
     if stream.read(len(MAGIC)) != MAGIC:
-        raise BadInput("is no tensor file", where=str(path), todo="check what the file is")
-    version = _unpack(stream, "<BB", f"{path}: version")
+        raise BadInput("is no tensor file", where=where, todo="check what the file is")
+    version = _unpack(stream, "<BB", f"{where}: version")
     if version != VERSION:
         raise BadInput(
-            f"is of version {version[0]}.{version[1]}, gonio reads {VERSION[0]}.{VERSION[1]}", where=str(path)
+            f"is of version {version[0]}.{version[1]}, gonio reads {VERSION[0]}.{VERSION[1]}", where=where
         )
-    (count,) = _unpack(stream, "<I", f"{path}: number of fields")
+    (count,) = _unpack(stream, "<I", f"{where}: number of fields")
     if not 1 <= count <= MOST_FIELDS:
         raise BadInput(
-            f"announces {count} fields", where=f"{path}: byte 14", todo="copy it again; is it big-endian?"
+            f"announces {count} fields", where=f"{where}: byte 14", todo="copy it again; is it big-endian?"
         )
-    fields = [_read_field(stream, size, f"{path}: field {index + 1}") for index in range(count)]
+    fields = [_read_field(stream, size, f"{where}: field {index + 1}") for index in range(count)]
     names = [field.name for field in fields]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise BadInput("stands twice in the file", where=f"{path}: {twice[0]}")
+        raise BadInput("stands twice in the file", where=f"{where}: {twice[0]}")
     return fields
 
 

@@ -7,11 +7,12 @@ import struct
 import numpy as np
 import pytest
 
-from analysis.formats.rgl import resample
+from analysis.formats.rgl_layout import own_tensors
+from analysis.formats.rgl_resample import resample
 from analysis.formats.rgl_table import Table
 from analysis.formats.tensor import read_tensors, write_tensors
 from analysis.models import MODELS
-from analysis.samples import make_samples, read, write
+from analysis.samples import make_samples, read, select, write
 from rig.angles import direction_to_spherical, spherical_to_direction
 from rig.errors import BadInput
 
@@ -80,6 +81,51 @@ def test_samples_are_the_tables_values_at_its_nodes(tensors, tmp_path):
     assert samples["channel"].to_numpy().tolist() == ["R", "G", "B"]
     as_brdf = read(path, no_cosine=True)
     np.testing.assert_allclose(as_brdf["f_r"], times_cosine, rtol=1e-12)
+
+
+@pytest.mark.parametrize("through_nc", [False, True])
+def test_samples_of_a_table_are_written_as_that_table(tensors, tmp_path, through_nc):
+    """Catches nodes interpolated anew although nobody changed them: warps and nodes below the horizon."""
+    tensors["vendor"] = np.arange(5, dtype=np.uint16)
+    path, again = tmp_path / "file.dat", tmp_path / "again.bsdf"
+    write_tensors(path, tensors)
+    samples = read(path)
+    if through_nc:
+        write(samples, tmp_path / "samples.nc")
+        samples = read(tmp_path / "samples.nc")
+    loss = write(samples, again)
+    assert loss.worst_relative == 0.0
+    assert not loss.dropped
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_wavelengths_of_a_table_may_be_left_out(tensors, tmp_path):
+    """Catches the other channels' values under the names of those that were chosen."""
+    spectra = np.random.default_rng(1).uniform(0.1, 1.0, (1, 4, 5, 5, 5)).astype(np.float32)
+    del tensors["rgb"]
+    tensors |= {"spectra": spectra, "wavelengths": np.linspace(400, 800, 5, dtype=np.float32)}
+    path, again = tmp_path / "file.dat", tmp_path / "again.bsdf"
+    write_tensors(path, tensors)
+    write(select(read(path), wavelength_nm=[700.0, 500.0]), again)
+    np.testing.assert_array_equal(read_tensors(again)["spectra"], spectra[:, :, [3, 1]])
+
+
+@pytest.mark.parametrize("change", ["value", "direction", "fewer", "flag"])
+def test_changed_samples_are_not_the_old_table(tensors, tmp_path, change):
+    """Catches a kept file that is written although a person corrected, turned or rejected samples."""
+    path = tmp_path / "file.dat"
+    write_tensors(path, tensors)
+    samples = read(path)
+    assert own_tensors(samples) is not None
+    if change == "value":
+        samples["f_r"][3, 1] *= 1.0 + 1e-6
+    elif change == "direction":
+        samples["wi"][:] = samples["wi"].to_numpy() * [-1.0, -1.0, 1.0]
+    elif change == "fewer":
+        samples = samples.isel(sample=slice(1, None))
+    else:
+        samples["flags"][5, 0] = 1
+    assert own_tensors(samples) is None
 
 
 def test_an_isotropic_table_does_not_know_the_lights_azimuth(tensors):
