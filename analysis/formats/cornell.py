@@ -68,7 +68,9 @@ def declared(path: Path) -> AngleTable:
         If a number is missing, malformed or not finite.
     """
     table, _, wavelengths = _rows(path)
-    return AngleTable(*table[:, :4].T, table[:, 4:], {"wavelength_nm": wavelengths, "source": path.name})
+    theta_i, phi_i, theta_o, phi_o = table[:, :4].T
+    facts = {"wavelength_nm": wavelengths, "source": path.name}
+    return AngleTable(theta_i, phi_i, theta_o, phi_o, table[:, 4:], facts)
 
 
 def _rows(path: Path) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], list[int], list[float]]:

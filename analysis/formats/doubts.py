@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 ATTRIBUTE = "doubts"
 FEWEST_RUNS = 3
 SAME = 1e-9
+UNFINISHED = "the last line has no end: cut there, its last number would be another one"
 
 
 def doubts(samples: xr.Dataset, path: Path) -> str:
@@ -34,14 +35,19 @@ def doubts(samples: xr.Dataset, path: Path) -> str:
     with path.open("rb") as stream:
         stream.seek(-1, 2)
         if stream.read() not in {b"\n", b"\r"}:
-            found.append(
-                "the last line has no end: cut there, its last number would be another one"
-            )
+            found.append("the last line has no end: cut there, its last number would be another one")
     for name, what in (("wi", "direction of the light"), ("wo", "direction of view")):
         length, last = _last_run(samples[name].to_numpy())
         if last < length:
             found.append(f"the last {what} has {last} samples, all others have {length}")
     return "; ".join(found)
+
+
+def unfinished(path: Path) -> bool:
+    """Whether a text that is not empty ends within a line."""
+    with path.open("rb") as stream:
+        stream.seek(-1, 2)
+        return stream.read() not in {b"\n", b"\r"}
 
 
 def _last_run(directions: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[int, int]:
