@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput
-from simulator.bsdfs import LOBES, PLUGIN
+from simulator.bsdfs import PLUGIN, has_lobes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,8 +66,10 @@ class ClosedFormMaterial:
 
     @property
     def rendered(self) -> bool:
-        """Whether Mitsuba can render it: `analysis.models` has more models than `simulator.bsdfs`."""
-        return self.model == "lambert" or self.model in LOBES
+        """Whether Mitsuba can be given it; where not, it is evaluated in closed form alone."""
+        truth = self.truth
+        channels = ({name: values[i] for name, values in truth.items()} for i in range(CHANNELS))
+        return has_lobes(self.model, channels)
 
     def plugin(self) -> dict[str, Any]:
         """Return the description that Mitsuba loads once `simulator.bsdfs` is registered.
@@ -79,9 +81,9 @@ class ClosedFormMaterial:
         """
         if not self.rendered:
             raise BadInput(
-                f"{self.model} is fitted and evaluated, but not rendered",
+                f"{self.model} has a closed form, but no lobes for tracing paths",
                 where=self.spec,
-                todo=f"choose from lambert, {', '.join(LOBES)}, or a BSDF of Mitsuba's",
+                todo="take black surroundings, or another model",
             )
         if self.model == "lambert":
             return {"type": "diffuse", "reflectance": {"type": "rgb", "value": self.truth["kd"]}}
@@ -162,10 +164,7 @@ def parse_material(spec: str | Material) -> Material:
 
 def _closed_form(spec: str, kind: str, rest: str) -> ClosedFormMaterial:
     values = {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}
-    material = closed_form_material(kind, values, spec)
-    # A line is there to be rendered: say now what cannot be, not when the first frame is due.
-    material.plugin()
-    return material
+    return closed_form_material(kind, values, spec)
 
 
 def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str = "") -> ClosedFormMaterial:
