@@ -26,7 +26,7 @@ from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths, mirror_faces_sample, walks
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
-from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
+from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event, PlanarMirror, Scene
 from simulator.materials import ClosedFormMaterial
 
@@ -316,18 +316,4 @@ class VirtualLightsMethod(Method):
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> VirtualLights:
         """Set it to work; see `Method`."""
-        return VirtualLights(scene, reflectance_of(mi, scene), paths)
-
-
-def reflectance_of(mi: Any, scene: Scene) -> Reflectance:
-    """Return f_r of a scene's sample, in closed form where there is one.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba, its variant set and `simulator.bsdfs` registered.
-    scene : Scene
-    """
-    if isinstance(scene.material, ClosedFormMaterial):
-        return closed_form_reflectance(scene.material)
-    return mitsuba_reflectance(mi, scene.material)
+        return VirtualLights(scene, material_reflectance(mi, scene.material), paths)
