@@ -1,22 +1,24 @@
-"""Surface scattering distribution data (SSDD, Kimura): ASCII tables over grids of angles in degrees.
+"""Surface scattering distribution data (SSDD, Kimura): tables over grids of angles in degrees.
 
 Written against version 0.2 of its specification, whose entries and order later 0.x versions keep. Read: the
-BRDF block of a file, `DATA ascii`, in all three parametrisations (spherical; specular, counted as Zemax does;
-half-difference); other blocks are skipped. Cells with a direction below the horizon are dropped. Written: one
-BRDF in spherical coordinates, only from samples that fill a grid, so that nothing is resampled; uncertainties
-are lost.
+BRDF block of a file, as text or binary (little-endian single precision, as libbsdf writes it), in all three
+parametrisations (spherical; specular, counted as Zemax does; half-difference); other blocks are skipped.
+Cells with a direction below the horizon are dropped. Written: one BRDF as text in spherical coordinates, only
+from samples that fill a grid, so that nothing is resampled; uncertainties are lost.
 """
 
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.doubts import ATTRIBUTE, UNFINISHED, unfinished
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines
 from analysis.formats.zemax import directions
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, from_half_difference, rotation, spherical_to_direction
@@ -33,14 +35,20 @@ NAME = "SSDD"
 SUFFIX = ".ssdd"
 VERSION = "0.2"
 OPTIONS: tuple[str, ...] = ()
-OPEN_END = True
 COUNTS = {"monochrome": 1, "rgb": 3, "xyz": 3}
 SYSTEMS = ("spherical_coordinate_system", "specular_coordinate_system", "half_difference_coordinate_system")
 HORIZON = 1e-9
-MOST_CELLS = 20_000_000
+MOST_CELLS = 4_000_000
+LARGEST_BYTES = 256 * 1024**2
+STORED = np.dtype("<f4")
 SAME_DEG = 1e-6
 _START = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:#[^\r\n]*[\r\n]+|\s)*+VERSION[ \t]+\d")
 _DATA_TYPE = re.compile(rb"^[ \t]*DATA_TYPE[ \t]", re.MULTILINE)
+_BINARY = re.compile(rb"^[ \t]*DATA[ \t]+binary[ \t]*(?:# [^\r\n]*)?\r?\n", re.MULTILINE)
+_COMMENT = re.compile(r"(?:^|\s)#\s")
+
+Line = tuple[int, list[str]]
+"""Number and words of a line."""
 
 
 class Entry(NamedTuple):
@@ -50,9 +58,18 @@ class Entry(NamedTuple):
     where: str
 
 
+class Block(NamedTuple):
+    """The lines of one block, and the bytes of its table where that is binary."""
+
+    lines: list[Line]
+    table: bytes | None
+
+
 def sniff(head: bytes) -> bool:
     """Whether the file starts with a version and has a block's first entry."""
-    return looks_like_text(head) and _START.match(head) is not None and _DATA_TYPE.search(head) is not None
+    binary = _BINARY.search(head)
+    text = head[: binary.start()] if binary else head
+    return looks_like_text(text) and _START.match(text) is not None and _DATA_TYPE.search(text) is not None
 
 
 def read(path: Path) -> xr.Dataset:
@@ -64,43 +81,95 @@ def read(path: Path) -> xr.Dataset:
         If there is no BRDF, an entry is missing or unknown, or the table has the wrong size or a malformed
         number; names line and column.
     """
-    content = [
-        (line, re.split(r"(?:^|\s)#\s", text, maxsplit=1)[0].split())
-        for line, text in enumerate(read_lines(path), start=1)
-    ]
-    lines = [(line, words) for line, words in content if words]
-    starts = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA_TYPE"]
-    for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
-        if lines[start][1][1:] == ["brdf"]:
-            return _block(lines[start:end], path)
+    for block in _blocks(path):
+        if block.lines[0][1][1:] == ["brdf"]:
+            return _samples(block, path)
     raise BadInput("holds no BRDF", where=f"{path}: line 1", todo="gonio reads reflection only")
 
 
-def _block(lines: list[tuple[int, list[str]]], path: Path) -> xr.Dataset:
+def _blocks(path: Path) -> list[Block]:
+    """Cut a file into its blocks; a binary table is as long as the entries before it say."""
+    if path.stat().st_size > LARGEST_BYTES:
+        raise BadInput("is larger than any table of samples", where=str(path), todo="store it as NetCDF")
+    content = path.read_bytes()
+    binary = _BINARY.search(content)
+    if binary is None:
+        return [Block(lines, None) for lines in _text_blocks(_words(read_lines(path), first=1))]
+    blocks: list[Block] = []
+    start, first = 0, 1
+    while binary is not None:
+        text = decoded_lines(content[start : binary.end()])
+        found = _text_blocks(_words(text, first=first))
+        if not found:
+            raise BadInput("a table belongs to no DATA_TYPE", where=f"{path}: line {first}")
+        end = binary.end() + _binary_bytes(found[-1], path)
+        if end > len(content):
+            raise BadInput(
+                f"{len(content) - binary.end()} bytes follow DATA binary, the lists announce "
+                f"{end - binary.end()}",
+                where=f"{path}: line {found[-1][-1][0]}",
+                todo="the file is cut short or a list is wrong: copy it again",
+            )
+        blocks += [Block(lines, None) for lines in found[:-1]]
+        blocks.append(Block(found[-1], content[binary.end() : end]))
+        start, first = end, first + len(text)
+        binary = _BINARY.search(content, start)
+    rest = _words(decoded_lines(content[start:]), first=first)
+    if rest and rest[0][1][0] != "DATA_TYPE":
+        raise BadInput(
+            f"{len(content) - start} bytes follow a binary table that are no block",
+            where=f"{path}: byte {start}",
+            todo="a list is wrong, or the table is not in single precision",
+        )
+    return blocks + [Block(lines, None) for lines in _text_blocks(rest)]
+
+
+def _words(lines: list[str], *, first: int) -> list[Line]:
+    """Split lines to words under their number, without comments and empty lines."""
+    content = [
+        (line, _COMMENT.split(text, maxsplit=1)[0].split()) for line, text in enumerate(lines, start=first)
+    ]
+    return [(line, words) for line, words in content if words]
+
+
+def _text_blocks(lines: list[Line]) -> list[list[Line]]:
+    starts = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA_TYPE"]
+    return [lines[start:end] for start, end in pairwise([*starts, len(lines)])]
+
+
+def _head(lines: list[Line], path: Path) -> tuple[dict[str, Entry], int]:
+    """Return a block's entries by name, and how many lines they take."""
     ends = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA"]
     if not ends:
         raise BadInput("has no entry DATA", where=f"{path}: line {lines[-1][0]}", todo="copy the file again")
     entries = {words[0]: Entry(words[1:], f"{path}: line {line}") for line, words in lines[: ends[0] + 1]}
-    if entries["DATA"].words != ["ascii"]:
-        raise BadInput(
-            "only DATA ascii is read", where=entries["DATA"].where, todo="export the table as text"
-        )
+    return entries, ends[0] + 1
+
+
+def _binary_bytes(lines: list[Line], path: Path) -> int:
+    """Return how long a block's binary table is; of specular blocks only the first two lists count."""
+    entries, _ = _head(lines, path)
+    channels, _ = _channels(entries, path)
+    axes = 4 if "PARAM_TYPE" in entries else 2
+    sizes = [len(entries[name].words) for i in range(axes) if (name := f"PARAM{i}_LIST") in entries]
+    return int(np.prod([float(size) for size in sizes])) * len(channels) * STORED.itemsize
+
+
+def _samples(block: Block, path: Path) -> xr.Dataset:
+    entries, length = _head(block.lines, path)
     channels, wavelengths = _channels(entries, path)
     grid = [_angles(entries, f"PARAM{index}_LIST", required=index != 1, path=path) for index in range(4)]
     count = int(np.prod([float(len(angles)) for angles in grid]))
-    body = lines[ends[0] + 1 :]
-    if count > MOST_CELLS or len(body) != count:
+    if count > MOST_CELLS:
         raise BadInput(
-            f"{len(body)} rows follow, the lists announce {count}",
-            where=f"{path}: line {lines[-1][0]}",
-            todo="the file is cut short or a list is wrong: copy it again",
+            f"the lists announce {count} cells, gonio reads {MOST_CELLS}", where=entries["DATA"].where
         )
-    table = np.array([_row(line, words, len(channels), path) for line, words in body])
+    table = _table(block, length, (count, len(channels)), path)
     # The first parameter runs fastest.
     cells = np.stack([axis.ravel(order="F") for axis in np.meshgrid(*map(np.radians, grid), indexing="ij")])
     wi, wo = _directions(cells, entries, path)
     above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
-    return make_samples(
+    samples = make_samples(
         wi[above],
         wo[above],
         table[above],
@@ -108,6 +177,38 @@ def _block(lines: list[tuple[int, list[str]]], path: Path) -> xr.Dataset:
         wavelength_nm=wavelengths,
         source=path.name,
     )
+    # The rows of a text are counted; only its last number may be cut unseen.
+    doubtful = block.table is None and unfinished(path)
+    return samples.assign_attrs({ATTRIBUTE: UNFINISHED}) if doubtful else samples
+
+
+def _table(block: Block, length: int, shape: tuple[int, int], path: Path) -> Array:
+    """Return the values (cells, channels) that follow a block's entries."""
+    where, mode = f"{path}: line {block.lines[length - 1][0]}", block.lines[length - 1][1][1:]
+    if block.table is not None:
+        if len(block.table) != shape[0] * shape[1] * STORED.itemsize:
+            raise BadInput("the lists do not announce the table's size", where=where, todo="copy it again")
+        table = np.frombuffer(block.table, STORED).reshape(shape).astype(np.float64)
+        wrong = np.argwhere(~np.isfinite(table))
+        if len(wrong):
+            raise BadInput(
+                "holds a value that is not finite",
+                where=f"{where}, cell {wrong[0][0] + 1}, channel {wrong[0][1] + 1}",
+                todo="correct it where it was made",
+            )
+        return table
+    if mode != ["ascii"]:
+        raise BadInput(
+            f"DATA is '{' '.join(mode)[:40]}'", where=where, todo="known: ascii, binary; lines end in LF"
+        )
+    body = block.lines[length:]
+    if len(body) != shape[0]:
+        raise BadInput(
+            f"{len(body)} rows follow, the lists announce {shape[0]}",
+            where=f"{path}: line {block.lines[-1][0]}",
+            todo="the file is cut short or a list is wrong: copy it again",
+        )
+    return np.array([_row(line, words, shape[1], path) for line, words in body])
 
 
 def _row(line: int, words: list[str], width: int, path: Path) -> list[float]:

@@ -41,7 +41,11 @@ def read_lines(path: Path) -> list[str]:
             where=str(path),
             todo="store it as NetCDF",
         )
-    content = path.read_bytes()
+    return decoded_lines(path.read_bytes())
+
+
+def decoded_lines(content: bytes) -> list[str]:
+    """Split a text in UTF-8 (with or without mark) or Latin-1 into lines, with any line ends."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -44,7 +44,7 @@ TEXTS = (
     "pab",
     *EXPORTS,
 )
-BINARIES = ("netcdf", "npz", "rgl")
+BINARIES = ("netcdf", "npz", "rgl", "ssdd_binary")
 SMALL = (*TEXTS, *BINARIES)
 
 

@@ -147,6 +147,36 @@ def test_ssdd_systems(save):
     np.testing.assert_allclose(samples["wi"][:2], samples["wo"][:2], atol=1e-12)
 
 
+def _binary_ssdd(content):
+    """Store the tables of a text in single precision, as libbsdf does."""
+    stored = b""
+    for block in content.partition("DATA_TYPE")[2].split("DATA_TYPE"):
+        head, rows = block.split("DATA ascii\n")
+        stored += f"DATA_TYPE{head}DATA binary\n".encode()
+        stored += np.array(rows.split(), dtype="<f4").tobytes()
+    return content.partition("DATA_TYPE")[0].encode() + stored
+
+
+def test_ssdd_binary(tmp_path):
+    """Catches a table in the wrong order or precision, and one that is not skipped before the BRDF."""
+    path = tmp_path / "file.dat"
+    for content in (_binary_ssdd(SSDD), _binary_ssdd(SSDD).replace(b"0.2\n# a comment\n", b"0.3\r\n")):
+        path.write_bytes(content)
+        samples = read(path)
+        assert "doubts" not in samples.attrs
+        np.testing.assert_array_equal(samples["f_r"].to_numpy().ravel(), np.arange(1.0, 25.0))
+    whole = _binary_ssdd(SSDD)
+    for wrong, complaint in (
+        (whole[:-1], "95 bytes follow DATA binary, the lists announce 96"),
+        (whole + b"\0" * 96, "96 bytes follow a binary table"),
+        (whole[:-4] + np.float32(np.nan).tobytes(), "cell 8, channel 3.*not finite|not finite.*"),
+        (whole.replace(b"DATA_TYPE", b"TYPE", 1), "belongs to no DATA_TYPE|no format"),
+    ):
+        path.write_bytes(wrong)
+        with pytest.raises(BadInput, match=complaint):
+            read(path)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_ssdd_round_trip(tmp_path, turned):
     """Catches cells in the wrong place: every sample of a grid comes back with its directions."""
@@ -200,7 +230,7 @@ def test_ssdd_refuses_what_is_no_grid(tmp_path):
         (SSDD.replace("spherical_coord", "polar_coord"), "line 11: 'polar_coord.*no parametrisation"),
         (SSDD.replace("PARAM2_LIST 10 20", "PARAM2_LIST 10 2O"), "line 13, column 3: '2O'"),
         (SSDD.replace("PARAM2_LIST 10 20", "PARAM2_LIST"), "line 13: PARAM2_LIST is empty"),
-        (SSDD.replace("DATA ascii\n1 2", "DATA binary\n1 2"), "line 15: only DATA ascii"),
+        (SSDD.replace("DATA ascii\n1 2", "DATA binary\n1 2"), "line 15: 63 bytes follow DATA binary"),
     ],
 )
 def test_damaged(save, content, complaint):

@@ -42,6 +42,10 @@ ZEMAX = (
     )
     + "DataEnd\n"
 )
+SSDD_BINARY = (
+    b"VERSION 0.2\nDATA_TYPE brdf\nCOLOR_MODEL rgb\nPARAM_TYPE spherical_coordinate_system\n"
+    b"PARAM0_LIST 0 45\nPARAM2_LIST 10 20\nPARAM3_LIST 0 90 180\nDATA binary\n"
+) + np.linspace(0.01, 1.0, 36).astype("<f4").tobytes()
 KLEMS_BLOCKS = "".join(
     f"<AngleBasisBlock><Theta>{theta}</Theta><nPhis>{count}</nPhis></AngleBasisBlock>\n"
     for theta, count in ((0, 1), (30, 4), (60, 3))
@@ -142,6 +146,8 @@ def make_whole_files(folder: Path) -> dict[str, Whole]:
     files["csv"] = Whole(folder / "csv.dat", "csv", b",")
     files["astm"] = Whole(folder / "astm.dat", "astm", b",")
     files["ssdd"] = Whole(folder / "ssdd.dat", "ssdd")
+    (folder / "ssdd_binary.dat").write_bytes(SSDD_BINARY)
+    files["ssdd_binary"] = Whole(folder / "ssdd_binary.dat", "ssdd", binary=True)
     files["pab"] = Whole(folder / "pab.dat", "pab", counted=False)
     for name in ("netcdf", "npz", "rgl"):
         files[name] = Whole(folder / f"{name}.dat", name, binary=True, checked=name != "rgl")
