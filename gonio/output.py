@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping
 
+    import xarray as xr
+
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Add `--json` to a command: one JSON object on standard output and nothing else there."""
@@ -28,6 +30,22 @@ def say(text: str, *, end: str = "\n") -> None:
     """Tell a person something on standard error; work goes on where nobody reads it any more."""
     with contextlib.suppress(OSError, ValueError):  # the terminal was closed, the pipe's reader left
         print(text, end=end, file=sys.stderr, flush=True)
+
+
+def caution(file: str, samples: xr.Dataset) -> str:
+    """Tell a person why a file may have been cut short, where its reader saw signs of it.
+
+    Returns
+    -------
+    str
+        The doubts, for the JSON object; empty where there are none.
+    """
+    from analysis.formats.doubts import ATTRIBUTE
+
+    doubts = str(samples.attrs.get(ATTRIBUTE, ""))
+    if doubts:
+        say(f"caution: {file}: {doubts}")
+    return doubts
 
 
 def _plain(value: Any) -> Any:

@@ -18,7 +18,7 @@ the file's log; --restore NUMBER takes one back. SELECT is numbers (3,10-20), ra
 
 The JSON object: files: [{file, samples, channels, verdict, checks: [{name, quantity, value, warn, fail,
 count, verdict, meaning, where, objects_to}], conventions: {decided, words, readings: [{reading, words,
-same_as, log_odds, above_horizon, reciprocity, lobe_rms, noise_rms}]}, rejections: [...]}]
+same_as, log_odds, above_horizon, reciprocity, lobe_rms, noise_rms}]}, rejections: [...], doubts}]
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import add_json_option, print_json
+from gonio.output import add_json_option, caution, print_json
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
@@ -137,6 +137,7 @@ def _read(file: str, options: argparse.Namespace) -> xr.Dataset:
     from analysis.samples import read, select
 
     samples = read(file, **_format_options(options))
+    caution(file, samples)
     return select(
         samples, wavelength_nm=options.wavelength_nm, max_theta_deg=options.max_theta_deg, where=file
     )
@@ -236,6 +237,7 @@ def _file_entry(
     file: str, samples: xr.Dataset, findings: list[Finding], diagnosis: Diagnosis
 ) -> dict[str, Any]:
     from analysis.checks import worst
+    from analysis.formats.doubts import ATTRIBUTE
 
     return {
         "file": file,
@@ -245,6 +247,7 @@ def _file_entry(
         "checks": [_entry(finding) for finding in findings],
         "conventions": _diagnosis_entry(diagnosis),
         "rejections": _log_entries(samples),
+        "doubts": str(samples.attrs.get(ATTRIBUTE, "")),
     }
 
 

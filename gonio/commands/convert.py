@@ -16,7 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import add_json_option, print_json, say
+from gonio.output import add_json_option, caution, print_json
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -66,9 +66,7 @@ def run(options: argparse.Namespace) -> int:
         for file in options.files
     ]
     samples, left_behind = join(tables, options.files)
-    doubts = str(samples.attrs.get("doubts", ""))
-    if doubts:
-        say(f"gonio convert: doubtful: {doubts}")
+    doubts = caution(" ".join(options.files), samples)
     done = convert(samples, out, to=options.to, fill=options.fill)
     result = {
         "files": options.files,

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import Progress, add_json_option, print_json, say
+from gonio.output import Progress, add_json_option, caution, print_json, say
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -95,6 +95,7 @@ class _Fitted:
     ranked: list[Candidate]
     masked: list[dict[str, int]]
     left_out: dict[str, str] = field(default_factory=dict)
+    doubts: str = ""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -177,7 +178,9 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
     from analysis.units import require_degrees
     from gonio.fit_entry import masked
 
-    whole = select(read(file, blank=options.blank), wavelength_nm=options.wavelength_nm, where=file)
+    given = read(file, blank=options.blank)
+    doubts = caution(file, given)
+    whole = select(given, wavelength_nm=options.wavelength_nm, where=file)
     require_degrees(whole, file)
     if options.aperture_deg:
         whole = _seen_through(whole, options.aperture_deg)
@@ -195,7 +198,8 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
     except BadInput as error:
         raise BadInput(str(error), where=file) from None
     channels = [str(channel) for channel in samples["channel"].to_numpy()]
-    return _Fitted(file, channels, ranked, [masked(whole, samples, one.result) for one in ranked], left_out)
+    left = [masked(whole, samples, one.result) for one in ranked]
+    return _Fitted(file, channels, ranked, left, left_out, doubts)
 
 
 def _seen_through(samples: xr.Dataset, aperture_deg: Sequence[float]) -> xr.Dataset:
@@ -231,6 +235,7 @@ def _object(
         ],
         "words": {each.file: in_words(each.ranked) for each in fitted},
         "left_out": {each.file: each.left_out for each in fitted},
+        "doubts": {each.file: each.doubts for each in fitted},
         **(
             {"comparison": [row for model, rows in compared.items() for row in comparison(model, rows)]}
             if with_comparison

@@ -131,5 +131,13 @@ def test_a_file_that_may_be_cut_is_doubted(folder, capsys):
     write(_samples(), folder / "paint.csv")
     text = (folder / "paint.csv").read_text().removesuffix("\n")
     (folder / "paint.csv").write_text(text[:-3])
-    assert main(["convert", "paint.csv", "out.astm"]) == 0
-    assert "last line has no end" in capsys.readouterr().err
+    commands = (
+        ["convert", "paint.csv", "out.astm"],
+        ["check", "paint.csv"],
+        ["fit", "paint.csv", "--model", "lambert"],
+    )
+    for command in commands:
+        main([*command, "--json"])
+        said = capsys.readouterr()
+        assert "caution: paint.csv: the last line has no end" in said.err, command
+        assert "the last line has no end" in said.out, command
