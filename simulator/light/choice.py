@@ -1,95 +1,54 @@
-"""Which light paths a scene can have, and the cheapest method that covers them: decided before rendering.
+"""What is computed of a scene's light at a pose, by which methods, and what is skipped: decided beforehand.
 
-Both what a scene can have and what a method covers are sets of light paths (`simulator.light.paths`); a
-method will do when every path of the scene's is one of its own.
+Every class of the scene's paths has a bound of its share at the pose (`simulator.light.shares`). The smallest
+are skipped, as long as their bounds together are below half the tolerance; the rest is divided among methods
+that can compute it, at the least predicted time, each within its part of what is left of the tolerance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 from rig.errors import Refused
 from simulator.light.paths import LightPaths
+from simulator.light.reflectance import material_reflectance
+from simulator.light.shares import Shares
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
 
-class Method(StrEnum):
-    """How radiance is computed, cheapest first."""
-
-    BLACK = "black"
-    CLOSED_FORM = "closed form at pixel centres"
-    PIXEL_CENTRES = "pixel centres through Mitsuba"
-    PIXEL_BY_PIXEL = "one BSDF value per pixel"
-    PATH = "path tracing"
-
-
-@dataclass(frozen=True)
-class SceneFacts:
-    """What decides about the light paths of a scene with one flat sample and a small lamp.
-
-    Parameters
-    ----------
-    scatters : bool
-        The sample has a part that scatters into all directions: D.
-    mirrors : bool
-        It has a part that reflects as a mirror does: S.
-    closed_form : bool
-        Its f_r is a model of `analysis.models`.
-    housing_albedo : float
-        Albedo of the housing; 0 is black surroundings.
-    """
-
-    scatters: bool
-    mirrors: bool = False
-    closed_form: bool = False
-    housing_albedo: float = 0.0
-
-    @property
-    def expression(self) -> str:
-        """Light paths that reach the camera; empty where there are none.
-
-        A flat sample does not light itself, and the camera does not see the lamp: in black surroundings light
-        meets the sample once. A housing scatters to it, and back, any number of times.
-        """
-        letters = "D" * self.scatters + "S" * self.mirrors
-        if not letters:
-            return ""
-        last = letters if len(letters) == 1 else "(D|S)"
-        if self.housing_albedo == 0.0:
-            return f"L{last}E"
-        return "LD+E" if last == "D" else f"L(D|S)*{last}E"
+    from simulator.light.classes import PathClass
+    from simulator.light.evaluator import Method
+    from simulator.light.scene import Scene
 
 
 @dataclass(frozen=True)
-class Ability:
-    """What a method covers and where it runs.
+class Part:
+    """What one method computes.
 
-    Parameters
+    Attributes
     ----------
-    covers : str
-        Expression of the light paths that it computes.
-    error : str
-        How far its pixels may be from the truth.
-    scalar, vector : bool
-        Whether it is worth its while in the scalar variant, and in the LLVM variant.
-    any_material : bool
-        Whether it needs no closed form.
+    method : Method
+    classes : tuple of PathClass
+        The classes that it computes.
+    paths : LightPaths
+        Their union.
+    seconds : float
+        Predicted time of the pose.
+    tolerance : float
+        The error that it is asked for, relative to the mean radiance over the sample.
+    leaves_out : float
+        The error that it leaves however long it works, on top.
     """
 
-    covers: str
-    error: str
-    scalar: bool = True
-    vector: bool = True
-    any_material: bool = True
-
-
-ABILITIES: dict[Method, Ability] = {
-    Method.BLACK: Ability("", "none"),
-    Method.CLOSED_FORM: Ability("LDE", "1e-12 relative", vector=False, any_material=False),
-    Method.PIXEL_CENTRES: Ability("LDE", "1e-6 relative (RMS)", scalar=False),
-    Method.PIXEL_BY_PIXEL: Ability("LDE", "1e-6 relative (RMS)", vector=False),
-    Method.PATH: Ability("L(D|S)+E", "noise of its samples"),
-}
+    method: Method
+    classes: tuple[PathClass, ...]
+    paths: LightPaths
+    seconds: float
+    tolerance: float
+    leaves_out: float
 
 
 @dataclass(frozen=True)
@@ -98,42 +57,191 @@ class Decision:
 
     Attributes
     ----------
-    expression : str
-        Light paths of the scene.
-    method : Method
-        The cheapest method that covers them.
-    error : str
-        How far its pixels may be from the truth.
+    classes : tuple of PathClass
+        All of the scene's.
+    bounds : tuple of float
+        Upper bound of each one's share.
+    parts : tuple of Part
+        What is computed; empty for a black sample.
+    skipped : tuple of PathClass
+        What is not.
+    tolerance : float
+        The error allowed in all.
     """
 
-    expression: str
-    method: Method
-    error: str
+    classes: tuple[PathClass, ...]
+    bounds: tuple[float, ...]
+    parts: tuple[Part, ...]
+    skipped: tuple[PathClass, ...]
+    tolerance: float
+
+    @property
+    def skipped_bound(self) -> float:
+        """Upper bound of the share of all that is skipped."""
+        return sum(b for c, b in zip(self.classes, self.bounds, strict=True) if c in self.skipped)
+
+    @property
+    def reached(self) -> bool:
+        """Whether methods and skipped classes together are predicted to stay within the tolerance."""
+        return self.skipped_bound + sum(part.leaves_out for part in self.parts) <= self.tolerance
+
+    def by(self, path_class: PathClass) -> Part | None:
+        """Return the part that computes a class, None if it is skipped."""
+        return next((part for part in self.parts if path_class in part.classes), None)
 
 
-def choose_method(facts: SceneFacts, *, vector: bool) -> Decision:
-    """Choose the cheapest method that covers every light path of a scene.
+class Chooser:
+    """Decides about the light of one scene, pose by pose.
 
     Parameters
     ----------
-    facts : SceneFacts
-        The scene.
-    vector : bool
-        Whether Mitsuba runs vectorised (LLVM).
-
-    Returns
-    -------
-    Decision
+    mi : module
+        Mitsuba, its variant set and `simulator.bsdfs` registered.
+    scene : Scene
+    tolerance : float
+        Relative error that is allowed, in the mean and in the pixels' RMS over the sample.
+    methods : sequence of Method
+        Those to choose from.
 
     Raises
     ------
-    Refused
-        No method covers the scene.
+    BadInput
+        Mitsuba refuses the material.
     """
-    needed = LightPaths(facts.expression)
-    for method, ability in ABILITIES.items():
-        runs = ability.vector if vector else ability.scalar
-        knows = ability.any_material or facts.closed_form
-        if runs and knows and needed <= LightPaths(ability.covers):
-            return Decision(facts.expression, method, ability.error)
-    raise Refused(f"no method covers the light paths {facts.expression}", todo="simplify the scene")
+
+    def __init__(self, mi: Any, scene: Scene, tolerance: float, methods: Sequence[Method]) -> None:
+        self._mi, self._scene, self._tolerance = mi, scene, tolerance
+        self._vector = not mi.variant().startswith("scalar")
+        self._shares = Shares(scene, material_reflectance(mi, scene.material))
+        self._able = {
+            number: tuple(method for method in methods if path_class.paths <= method.covers)
+            for number, path_class in enumerate(self._shares.classes)
+        }
+        self._divided: dict[tuple[int, ...], tuple[dict[Method, tuple[int, ...]], ...]] = {}
+        self._obstacles: dict[tuple[Method, tuple[int, ...]], str | None] = {}
+        self._unions: dict[tuple[int, ...], LightPaths] = {}
+
+    def decide(self, angles_rad: Sequence[float]) -> Decision:
+        """Decide about a pose.
+
+        Parameters
+        ----------
+        angles_rad : sequence of float
+            True angles of the arm joints.
+
+        Returns
+        -------
+        Decision
+            Where no method can stay within the tolerance, with those that leave out least.
+
+        Raises
+        ------
+        Refused
+            No methods can compute what may not be skipped.
+        """
+        classes, bounds = self._shares.classes, self._shares.bounds(angles_rad)
+        if not classes:
+            return Decision((), (), (), (), self._tolerance)
+        left_out = _LeftOut(self._mi, self._scene, angles_rad)
+        best: tuple[tuple[bool, float], tuple[Part, ...], tuple[int, ...]] | None = None
+        for skipped, spent in self._skippable(bounds):
+            kept = tuple(number for number in range(len(classes)) if number not in skipped)
+            for division in self._divisions(kept):
+                parts = self._parts(division, self._tolerance - spent, left_out)
+                missed = spent + sum(part.leaves_out for part in parts) > self._tolerance
+                cost = sum(part.leaves_out for part in parts) if missed else sum(p.seconds for p in parts)
+                if best is None or (missed, cost) < best[0]:
+                    best = (missed, cost), parts, skipped
+        if best is None:
+            raise Refused(
+                f"no method computes the light paths {self._unable()}",
+                where=self._scene.material.spec,
+                todo="simplify the scene, or allow a larger error",
+            )
+        return Decision(classes, bounds, best[1], tuple(classes[n] for n in best[2]), self._tolerance)
+
+    def _skippable(self, bounds: Sequence[float]) -> Iterator[tuple[tuple[int, ...], float]]:
+        """Yield what may be skipped, the most first, with the sum of its bounds."""
+        order = sorted(range(len(bounds)), key=lambda number: (bounds[number], -number))
+        sums = [sum(bounds[number] for number in order[:most]) for most in range(len(order))]
+        for most in reversed(range(len(order))):
+            if sums[most] <= 0.5 * self._tolerance:
+                yield tuple(sorted(order[:most])), sums[most]
+
+    def _divisions(self, kept: tuple[int, ...]) -> tuple[dict[Method, tuple[int, ...]], ...]:
+        """Every way to divide classes among methods that can compute their parts exactly."""
+        if kept not in self._divided:
+            alike: dict[tuple[Method, ...], tuple[int, ...]] = {}
+            for number in kept:
+                able = self._able[number]
+                alike[able] = (*alike.get(able, ()), number)
+            self._divided[kept] = tuple(
+                division
+                for chosen in product(*alike)
+                if self._possible(division := _by_method(chosen, tuple(alike.values())))
+            )
+        return self._divided[kept]
+
+    def _possible(self, division: Mapping[Method, tuple[int, ...]]) -> bool:
+        return all(self._obstacle(method, numbers) is None for method, numbers in division.items())
+
+    def _obstacle(self, method: Method, numbers: tuple[int, ...]) -> str | None:
+        key = method, numbers
+        if key not in self._obstacles:
+            self._obstacles[key] = method.obstacle(self._scene, self._union(numbers), vector=self._vector)
+        return self._obstacles[key]
+
+    def _union(self, numbers: tuple[int, ...]) -> LightPaths:
+        if numbers not in self._unions:
+            paths = LightPaths("")
+            for number in numbers:
+                paths |= self._shares.classes[number].paths
+            self._unions[numbers] = paths
+        return self._unions[numbers]
+
+    def _parts(
+        self, division: Mapping[Method, tuple[int, ...]], left: float, left_out: _LeftOut
+    ) -> tuple[Part, ...]:
+        """Ask each method for its part of what is left of the tolerance."""
+        parts = []
+        for method, numbers in division.items():
+            paths, missing = self._union(numbers), left_out.by(method)
+            tolerance = max(left / len(division) - missing, _LEAST * self._tolerance)
+            seconds = method.seconds(self._scene, paths, tolerance, vector=self._vector)
+            classes = tuple(self._shares.classes[number] for number in numbers)
+            parts.append(Part(method, classes, paths, seconds, tolerance, missing))
+        return tuple(parts)
+
+    def _unable(self) -> str:
+        """Name paths and what stands in the way of each method."""
+        numbers = tuple(self._able)
+        everywhere = set.intersection(*(set(able) for able in self._able.values()))
+        names = ", ".join(path_class.name for path_class in self._shares.classes)
+        reasons = {m.name: self._obstacle(m, numbers) for m in everywhere}
+        told = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
+        return f"{names} ({told})" if told else names
+
+
+_LEAST = 0.05
+"""Least part of the tolerance that a method is asked for, where it leaves out nearly all of it itself."""
+
+
+class _LeftOut:
+    """What each method leaves out at a pose, asked for once."""
+
+    def __init__(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> None:
+        self._arguments = mi, scene, angles_rad
+        self._known: dict[Method, float] = {}
+
+    def by(self, method: Method) -> float:
+        if method not in self._known:
+            self._known[method] = method.leaves_out(*self._arguments)
+        return self._known[method]
+
+
+def _by_method(chosen: Sequence[Method], groups: Sequence[tuple[int, ...]]) -> dict[Method, tuple[int, ...]]:
+    """Gather groups of classes that go to the same method."""
+    division: dict[Method, tuple[int, ...]] = {}
+    for method, numbers in zip(chosen, groups, strict=True):
+        division[method] = tuple(sorted((*division.get(method, ()), *numbers)))
+    return division

@@ -9,6 +9,7 @@ class of their own; all longer ones together are the last.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,6 +56,7 @@ class PathClass:
     name: str
 
 
+@lru_cache(maxsize=64)
 def light_paths(scene: Scene) -> LightPaths:
     """Every path that can carry light from the lamp over the sample to the camera.
 

@@ -139,6 +139,6 @@ class Method(ABC):
             As in `obstacle`.
         """
 
-    def leaves_out(self, scene: Scene, angles_rad: Sequence[float]) -> float:  # noqa: ARG002 - most leave nothing
-        """Return the relative error that it leaves at a pose however long it works; by default none."""
+    def leaves_out(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> float:  # noqa: ARG002
+        """Estimate the relative error that it leaves at a pose however long it works; by default none."""
         return 0.0

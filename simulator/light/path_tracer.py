@@ -1,29 +1,45 @@
-"""Radiance by Mitsuba's path tracer: for mirrors and housings, and the reference of every cheaper method."""
+"""Radiance by Mitsuba's path tracer: for whatever nothing cheaper covers, and the reference of all the rest.
+
+Mitsuba counts events but knows no letters. Paths with `first` to `last` events are the difference of two
+renders with the same seed, whose shorter paths are equal to the last digit and leave no noise behind.
+"""
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import Refused
 from rig.kinematics import Kinematics
+from rig.pixels import pixel_geometry
 from simulator.light import mitsuba_scene
-from simulator.light.scene import HOUSING_HALF_SIZE
+from simulator.light.classes import SHORT, light_paths
+from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.paths import LightPaths
+from simulator.light.scene import Event, Shape
 from simulator.materials import load_bsdf
 from simulator.sensor import derived_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rig.description import Rig
-    from simulator.materials import Material
+    from simulator.light.scene import Scene
 
 Array = NDArray[np.float64]
 
 DEEPEST = 12
 """Events after which a path ends: a housing of albedo 0.5 has lost all but 1e-4 of the light by then."""
+
+_FEWEST, _MOST = 4, 64
+"""Renders: as many as tell their own spread, and as many as a pose is worth."""
+_SAMPLES_PER_PIXEL = 16
+_NOISE_DIRECT, _NOISE_STRAY = 3e-3, 1e-2
+"""Relative noise of a pixel for one path, of light that meets one surface, and that meets more."""
+_SECONDS_PER_EVENT = {True: 2e-8, False: 1.2e-7}
+"""Time of one event of one path; vectorised, or not."""
 
 
 class Estimate(NamedTuple):
@@ -33,80 +49,75 @@ class Estimate(NamedTuple):
     standard_error: Array
 
 
-class PathLight:
-    """Light on one material, path traced; covers L(D|S)+E.
+class PathLight(Evaluator):
+    """Light on one sample, path traced.
 
     Parameters
     ----------
     mi : module
         Mitsuba, `simulator.bsdfs` registered.
-    rig : Rig
-        The machine.
-    material : Material
-        What lies at the station.
-    housing_albedo : float
-        Albedo of the housing; 0 for none.
-    mirrors : bool
-        Whether light can meet a mirror: the lamp is then a disc of its diameter, because mirrors never show
-        a point. Otherwise it is a point, as for every cheaper method.
+    scene : Scene
+        What is lit. Mirrors show its lamp only if it is a disc (`lamp_cosine`): a point is never met.
+    first, last : int
+        Number of events of the paths wanted.
     samples_per_pixel : int
-        Paths per pixel; in LLVM a power of two.
-
-    Raises
-    ------
-    Refused
-        The camera has distortion, which Mitsuba's cannot have.
+        Paths per pixel and render; in LLVM a power of two.
     """
 
     def __init__(
         self,
         mi: Any,
-        rig: Rig,
-        material: Material,
+        scene: Scene,
         *,
-        housing_albedo: float = 0.0,
-        mirrors: bool = False,
-        samples_per_pixel: int = 64,
+        first: int = 1,
+        last: int = DEEPEST,
+        samples_per_pixel: int = _SAMPLES_PER_PIXEL,
     ) -> None:
-        if any(rig.camera.distortion):
-            what = "light paths beyond LDE cannot be rendered through a distorting lens"
-            raise Refused(what, where="camera.distortion", todo="set it to zeros, or use black surroundings")
-        self._mi, self._rig, self._kinematics = mi, rig, Kinematics(rig)
-        self._samples_per_pixel, self._mirrors = samples_per_pixel, mirrors
-        bsdf = load_bsdf(mi, material)
+        rig = scene.rig
+        self._mi, self._scene_data, self._kinematics = mi, scene, Kinematics(rig)
+        self._samples_per_pixel = samples_per_pixel
+        bsdf = load_bsdf(mi, scene.material)
         # Mitsuba's disk has tangents that run outwards: no frame for a material with a grain.
         grain = bool(bsdf.flags() & mi.BSDFFlags.Anisotropic)
         description: dict[str, Any] = {
             "type": "scene",
-            "integrator": {"type": "path", "max_depth": DEEPEST, "rr_depth": DEEPEST, "hide_emitters": True},
             "camera": mitsuba_scene.perspective_camera(mi, rig, samples_per_pixel),
-            "lamp": mitsuba_scene.disc_lamp(mi, rig) if mirrors else mitsuba_scene.point_lamp(rig),
+            "lamp": mitsuba_scene.disc_lamp(mi, rig) if scene.lamp_cosine else mitsuba_scene.point_lamp(rig),
             "sample": {
                 "type": "rectangle" if grain else "disk",
-                "to_world": mi.ScalarTransform4f().scale(rig.sample.diameter_mm / 2.0),
+                "to_world": mi.ScalarTransform4f().scale(scene.sample_radius_mm),
                 "bsdf": bsdf,
             },
         }
-        if housing_albedo > 0.0:
-            half_size_mm = HOUSING_HALF_SIZE * max(rig.lamp.distance_mm, rig.camera.distance_mm)
-            description["housing"] = mitsuba_scene.housing(mi, housing_albedo, half_size_mm)
+        if scene.housing is not None:
+            description["housing"] = mitsuba_scene.housing(
+                mi, scene.housing.albedo, scene.housing.half_size_mm
+            )
+        for number, mirror in enumerate(scene.mirrors):
+            description[f"mirror{number}"] = mitsuba_scene.planar_mirror(mi, mirror)
         self._scene = mi.load_dict(description, optimize=False)
         self._parameters = mi.traverse(self._scene)
+        self._longest = _integrator(mi, last)
+        self._shorter = _integrator(mi, first - 1) if first > 1 else None
 
-    def radiance(self, angles_rad: Sequence[float]) -> Array:
-        """Radiance at level 1, the mean over each pixel; the noise depends on the pose and on nothing else.
-
-        Parameters
-        ----------
-        angles_rad : sequence of float
-            True angles of the arm joints.
-
-        Returns
-        -------
-        ndarray, shape (height, width, 3)
-        """
+    def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
+        """Render until the standard error is within the tolerance; see `Evaluator.render`."""
         self._pose(angles_rad)
-        return self._render(derived_seed("paths", tuple(angles_rad)))
+        inside = _inside(self._scene_data, angles_rad)
+        total = np.zeros((*inside.shape, 3))
+        squares = np.zeros_like(total)
+        count, wanted = 0, _FEWEST
+        error = math.inf
+        while count < wanted:
+            for number in range(count, wanted):
+                image = self._render(derived_seed("paths", tuple(angles_rad), number))
+                total += image
+                squares += image**2
+            count = wanted
+            error = _relative_error(total, squares, count, inside)
+            needed = count * (error / tolerance) ** 2 if error > tolerance else count
+            wanted = min(_MOST, max(count, math.ceil(1.2 * needed) if needed > count else count))
+        return Rendering(total / count, error, f"{count * self._samples_per_pixel} paths a pixel")
 
     def estimate(self, angles_rad: Sequence[float], renders: int) -> Estimate:
         """Mean and standard error over independent renders.
@@ -126,13 +137,86 @@ class PathLight:
         mi, frames = self._mi, self._kinematics.frames(np.asarray(angles_rad))
         placed = mitsuba_scene.camera_placed(mi, frames.camera_mm, frames.camera_rotation)
         self._parameters["camera.to_world"] = mi.Transform4f(placed)
-        if self._mirrors:
-            lamp = mitsuba_scene.disc_lamp_placed(mi, self._rig, frames.light_mm)
+        if self._scene_data.lamp_cosine:
+            lamp = mitsuba_scene.disc_lamp_placed(mi, self._scene_data.rig, frames.light_mm)
             self._parameters["lamp.to_world"] = mi.Transform4f(lamp)
         else:
             self._parameters["lamp.position"] = mi.Point3f(*frames.light_mm.tolist())
         self._parameters.update()
 
     def _render(self, seed: int) -> Array:
-        image = self._mi.render(self._scene, spp=self._samples_per_pixel, seed=seed % 2**32)
+        image = self._image(self._longest, seed)
+        return image if self._shorter is None else image - self._image(self._shorter, seed)
+
+    def _image(self, integrator: Any, seed: int) -> Array:
+        image = self._mi.render(
+            self._scene, integrator=integrator, spp=self._samples_per_pixel, seed=seed % 2**32
+        )
         return np.asarray(image, dtype=np.float64)
+
+
+class PathTracing(Method):
+    """Mitsuba's path tracer, for as many paths as the tolerance needs."""
+
+    name = "path tracing"
+    covers = LightPaths("L(D|S)+E")
+
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
+        """Say why it cannot; see `Method.obstacle`."""
+        if scene.shape is not Shape.FLAT:
+            return f"the sample is no plane but a {scene.shape}"
+        if any(scene.rig.camera.distortion):
+            return "Mitsuba's camera cannot distort as this lens does"
+        if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
+            return "a mirror never shows a point"
+        if _events(scene, paths) is None:
+            return "it tells paths apart by their number of events alone"
+        return None
+
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
+        """Predict the time of a pose; see `Method.seconds`."""
+        first, last = _events(scene, paths) or (1, DEEPEST)
+        noise = _NOISE_DIRECT if last == 1 else _NOISE_STRAY
+        samples = np.clip((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST, _MOST) * _SAMPLES_PER_PIXEL
+        events = last + (first - 1)
+        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+        return float(_FEWEST * 2e-3 + pixels * samples * events * _SECONDS_PER_EVENT[vector])
+
+    def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:
+        """Set it to work; see `Method.build`."""
+        first, last = _events(scene, paths) or (1, DEEPEST)
+        return PathLight(mi, scene, first=first, last=last)
+
+
+@lru_cache(maxsize=256)
+def _events(scene: Scene, paths: LightPaths) -> tuple[int, int] | None:
+    """Return how many events these paths have, from and to, if they are all of the scene's with so many."""
+    everything = light_paths(scene)
+    for first in range(1, SHORT + 2):
+        for last in (*range(first, SHORT + 1), None):
+            if everything.with_events(first, last) == paths:
+                return first, DEEPEST if last is None else last
+    return None
+
+
+def _integrator(mi: Any, events: int) -> Any:
+    """Return the integrator of paths of up to so many events, the lamp itself left out."""
+    depth = events + 1
+    return mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth, "hide_emitters": True})
+
+
+def _inside(scene: Scene, angles_rad: Sequence[float]) -> NDArray[np.bool_]:
+    """Pixels (height, width) wholly on the sample: those on its edge are noisy by their coverage alone."""
+    on = np.pad(pixel_geometry(scene.rig, angles_rad).on_sample, 1, mode="edge")
+    around = [on[1:-1, 1:-1], on[:-2, 1:-1], on[2:, 1:-1], on[1:-1, :-2], on[1:-1, 2:]]
+    return np.asarray(np.logical_and.reduce(around))
+
+
+def _relative_error(total: Array, squares: Array, count: int, inside: NDArray[np.bool_]) -> float:
+    """Return the standard error, RMS over the inside, relative to the mean there; 0 where it is dark."""
+    if not inside.any():
+        return 0.0
+    mean = total[inside] / count
+    variance = np.maximum(squares[inside] / count - mean**2, 0.0) / (count - 1)
+    level = mean.mean()
+    return float(np.sqrt(variance.mean()) / level) if level > 0.0 else 0.0

@@ -12,19 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
+from simulator.light.evaluator import Evaluator, Rendering
 from simulator.light.mitsuba_scene import camera_rays, point_lamp
+from simulator.light.pixelwise import PointMethod
 from simulator.materials import load_bsdf
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rig.description import Rig
+    from simulator.light.paths import LightPaths
+    from simulator.light.scene import Scene
     from simulator.materials import Material
 
 Array = NDArray[np.float64]
 
 
-class PixelCentreLight:
+class PixelCentreLight(Evaluator):
     """Light on one material, traced to every pixel's centre; covers LDE.
 
     Parameters
@@ -66,6 +70,10 @@ class PixelCentreLight:
                 self._parameters[name] = value
         self._parameters.update()
 
+    def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:  # noqa: ARG002
+        """Compute a pose; see `Evaluator.render`."""
+        return Rendering(self.radiance(angles_rad), 1e-6, "one ray a pixel")
+
     def radiance(self, angles_rad: Sequence[float]) -> Array:
         """Radiance at level 1.
 
@@ -106,3 +114,21 @@ class PixelCentreLight:
         vector = kind(*numbers.tolist())
         dr.make_opaque(vector)
         return vector
+
+
+class PixelCentres(PointMethod):
+    """One ray per pixel centre through Mitsuba, vectorised."""
+
+    name = "pixel centres through Mitsuba"
+
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
+        """Say why it cannot; see `Method.obstacle`."""
+        return None if vector else "Mitsuba does not run vectorised"
+
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
+        """Predict the time of a pose; see `Method.seconds`."""
+        return 1.5e-3 + 1e-8 * scene.rig.camera.width_px * scene.rig.camera.height_px
+
+    def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
+        """Set it to work; see `Method.build`."""
+        return PixelCentreLight(mi, scene.rig, scene.material)

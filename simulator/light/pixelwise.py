@@ -7,22 +7,32 @@ through the pixel's centre meets the sample.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.pixels import irradiance, pixel_geometry
+from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.finite_size import point_error
+from simulator.light.paths import LightPaths
+from simulator.light.reflectance import material_reflectance, mitsuba_reflectance
+from simulator.materials import ClosedFormMaterial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rig.description import Rig
+    from simulator.light.scene import Scene
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-6
+"""Of f_r in single precision; float64's is far below."""
 
-class PixelwiseLight:
+
+class PixelwiseLight(Evaluator):
     """Light on one material, asked for its f_r at every pixel's centre.
 
     Parameters
@@ -36,6 +46,10 @@ class PixelwiseLight:
     def __init__(self, rig: Rig, reflectance: Callable[[Array, Array], Array]) -> None:
         self._rig = rig
         self._reflectance = reflectance
+
+    def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:  # noqa: ARG002
+        """Compute a pose; see `Evaluator.render`."""
+        return Rendering(self.radiance(angles_rad), _ROUNDING, "one value of f_r a pixel")
 
     def radiance(self, angles_rad: Sequence[float]) -> Array:
         """Radiance at level 1.
@@ -56,3 +70,57 @@ class PixelwiseLight:
         f_r = self._reflectance(pixels.wi[seen], pixels.wo[seen])
         radiance[seen] = f_r * irradiance(self._rig, pixels)[seen, None]
         return radiance
+
+
+class PointMethod(Method):
+    """What all methods share that take lamp, pixel and pupil for points."""
+
+    covers = LightPaths("LDE")
+
+    def leaves_out(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> float:
+        """Estimate what a lamp, a pixel and a pupil with a size would change; see `Method.leaves_out`."""
+        return _left_out(mi, scene, tuple(angles_rad))
+
+
+@lru_cache(maxsize=4)
+def _left_out(mi: Any, scene: Scene, angles_rad: tuple[float, ...]) -> float:
+    """Ask once a pose: several methods leave out the same."""
+    return point_error(scene, material_reflectance(mi, scene.material), angles_rad)
+
+
+class ClosedForm(PointMethod):
+    """f_r in float64 at pixel centres."""
+
+    name = "closed form at pixel centres"
+
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
+        """Say why it cannot; see `Method.obstacle`."""
+        known = isinstance(scene.material, ClosedFormMaterial)
+        return None if known else "the material has no closed form"
+
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
+        """Predict the time of a pose; see `Method.seconds`."""
+        return 5e-4 + 3.5e-7 * scene.rig.camera.width_px * scene.rig.camera.height_px
+
+    def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
+        """Set it to work; see `Method.build`."""
+        return PixelwiseLight(scene.rig, material_reflectance(mi, scene.material))
+
+
+class PixelByPixel(PointMethod):
+    """One BSDF value of Mitsuba's for each pixel centre."""
+
+    name = "one BSDF value per pixel"
+
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
+        """Say why it cannot; see `Method.obstacle`."""
+        return None
+
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
+        """Predict the time of a pose; see `Method.seconds`."""
+        per_pixel = 3.5e-7 if vector else 1.5e-6
+        return 2e-3 + per_pixel * scene.rig.camera.width_px * scene.rig.camera.height_px
+
+    def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
+        """Set it to work; see `Method.build`."""
+        return PixelwiseLight(scene.rig, mitsuba_reflectance(mi, scene.material))

@@ -28,6 +28,26 @@ def closed_form_reflectance(material: ClosedFormMaterial) -> Callable[[Array, Ar
     return evaluate
 
 
+def material_reflectance(mi: Any, material: Material) -> Callable[[Array, Array], Array]:
+    """Return f_r of any material: its closed form where it has one, otherwise what Mitsuba says.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, its variant set and `simulator.bsdfs` registered.
+    material : Material
+        What to evaluate.
+
+    Raises
+    ------
+    BadInput
+        Mitsuba refuses the material.
+    """
+    if isinstance(material, ClosedFormMaterial):
+        return closed_form_reflectance(material)
+    return mitsuba_reflectance(mi, material)
+
+
 def mitsuba_reflectance(mi: Any, material: Material) -> Callable[[Array, Array], Array]:
     """Return a function (wi (N, 3), wo (N, 3)) -> f_r (N, 3) that asks Mitsuba's BSDF, in single precision.
 

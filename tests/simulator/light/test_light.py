@@ -11,13 +11,13 @@ from rig.description import Camera, Rig, default_rig
 from rig.errors import BadInput, Refused
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
-from simulator.light.choice import ABILITIES, Method, SceneFacts, choose_method
+from simulator.light.mitsuba_scene import sample_events
 from simulator.light.path_tracer import PathLight
-from simulator.light.paths import LightPaths
 from simulator.light.pixel_centres import PixelCentreLight
 from simulator.light.pixelwise import PixelwiseLight
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.light.renderer import Renderer
+from simulator.light.scene import Scene
 from simulator.materials import ClosedFormMaterial, parse_material
 from simulator.variant import LLVM, choose_variant
 
@@ -50,6 +50,13 @@ def exact(rig: Rig, spec: str) -> PixelwiseLight:
     return PixelwiseLight(rig, closed_form_reflectance(closed_form(spec)))
 
 
+def path_traced(mi: Any, spec: str, *, lamp_cosine: bool = False) -> PathLight:
+    """Light by the path tracer in black surroundings, of a point lamp or a disc."""
+    material = parse_material(spec)
+    scene = Scene(RIG, material, sample_events(mi, material), lamp_cosine=lamp_cosine)
+    return PathLight(mi, scene, samples_per_pixel=64)
+
+
 def inside(rig: Rig, pose: tuple[float, ...]) -> NDArray[np.bool_]:
     """Pixels whose neighbours are on the sample too."""
     on = np.pad(pixel_geometry(rig, pose).on_sample, 1, mode="edge")
@@ -65,30 +72,6 @@ def directions(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     near[:, 2] = np.abs(near[:, 2]) + 0.15
     wo[::2] = near / np.linalg.norm(near, axis=1, keepdims=True)
     return wi, wo
-
-
-class TestPaths:
-    @pytest.mark.parametrize(
-        ("facts", "expression", "scalar_method", "vector_method"),
-        [
-            (SceneFacts(True, closed_form=True), "LDE", Method.CLOSED_FORM, Method.PIXEL_CENTRES),
-            (SceneFacts(True), "LDE", Method.PIXEL_BY_PIXEL, Method.PIXEL_CENTRES),
-            (SceneFacts(False, closed_form=True), "", Method.BLACK, Method.BLACK),
-            (SceneFacts(False, mirrors=True), "LSE", Method.PATH, Method.PATH),
-            (SceneFacts(True, mirrors=True), "L(D|S)E", Method.PATH, Method.PATH),
-            (SceneFacts(True, closed_form=True, housing_albedo=0.04), "LD+E", Method.PATH, Method.PATH),
-            (SceneFacts(True, True, housing_albedo=0.04), "L(D|S)*(D|S)E", Method.PATH, Method.PATH),
-        ],
-    )
-    def test_the_cheapest_method_that_covers_is_chosen(
-        self, facts: SceneFacts, expression: str, scalar_method: Method, vector_method: Method
-    ) -> None:
-        """Would catch paths that the chosen method leaves out, and a dear method for a cheap scene."""
-        assert facts.expression == expression
-        assert choose_method(facts, vector=False).method is scalar_method
-        decision = choose_method(facts, vector=True)
-        assert decision.method is vector_method
-        assert LightPaths(decision.expression) <= LightPaths(ABILITIES[decision.method].covers)
 
 
 @pytest.mark.render
@@ -128,7 +111,8 @@ class TestReflectance:
         si.wi = mi.Vector3f(0.6, 0.0, 0.8)
         rng = mi.PCG32(count)
         uniform = mi.Point2f(rng.next_float32(), rng.next_float32())
-        weight = np.asarray(bsdf.sample(mi.BSDFContext(), si, 0.5, uniform)[1], dtype=np.float64)
+        which = rng.next_float32()
+        weight = np.asarray(bsdf.sample(mi.BSDFContext(), si, which, uniform)[1], dtype=np.float64)
         albedo, error = weight.mean(axis=1), weight.std(axis=1) / np.sqrt(count)
         # The same integral as a sum over a grid, from the closed form.
         cosine, phi = (np.arange(400) + 0.5) / 400, (np.arange(800) + 0.5) / 800 * 2.0 * np.pi
@@ -158,7 +142,7 @@ class TestMethods:
     @pytest.mark.parametrize("model", ["lambert", "phong", "cook-torrance"])
     def test_the_path_tracer_finds_the_same_within_its_noise(self, vector: Any, model: str) -> None:
         """Would catch light paths left out, and wrong geometry that all pixel-centre methods share."""
-        reference = PathLight(vector, RIG, closed_form(CLOSED_FORMS[model]), samples_per_pixel=64)
+        reference = path_traced(vector, CLOSED_FORMS[model])
         for pose in POSES[:2]:
             estimate, expected = reference.estimate(pose, 16), exact(RIG, CLOSED_FORMS[model]).radiance(pose)
             seen = inside(RIG, pose)
@@ -174,12 +158,12 @@ class TestMethods:
     def test_a_lamp_taken_for_a_point_is_within_the_stated_tolerance(self, vector: Any, spec: str) -> None:
         """Would catch the skipped part of the light, the lamp's size, growing beyond what is stated."""
         pose = (0.5, 0.0, -0.5, 0.2)
-        disc = PathLight(vector, RIG, closed_form(spec), mirrors=True, samples_per_pixel=256)
+        disc = path_traced(vector, spec, lamp_cosine=True)
         seen = inside(RIG, pose)
         # A disc that faces the centre shines by its cosine on what lies beside it; the rig's lamp is even.
         towards = Kinematics(RIG).frames(pose).light_mm / RIG.lamp.distance_mm
         cosine = pixel_geometry(RIG, pose).wi[seen] @ towards
-        ratio = disc.radiance(pose)[seen] / (exact(RIG, spec).radiance(pose)[seen] * cosine[:, None])
+        ratio = disc.estimate(pose, 4).mean[seen] / (exact(RIG, spec).radiance(pose)[seen] * cosine[:, None])
         assert np.mean(ratio) == pytest.approx(1.0, abs=5e-4)
         assert np.mean(ratio) != 1.0
 
@@ -189,7 +173,7 @@ class TestMethods:
             pytest.skip("no LLVM >= 19 on this machine")
         spec = f"bsdf:{shared_data / 'rgl' / 'vch_golden_yellow_rgb.bsdf'}"
         pictures = [
-            Renderer(RIG, {"sample1": spec}, variant=name).radiance("sample1", POSES[0])
+            Renderer(RIG, {"sample1": spec}, variant=name, tolerance=1e-2).radiance("sample1", POSES[0])
             for name in ("llvm", "scalar")
         ]
         assert pictures[0][24, 32, 0] > 2.0 * pictures[0][24, 32, 2] > 0.0  # yellow
@@ -252,7 +236,7 @@ class TestRenderer:
             return render(self, angles_rad)
 
         monkeypatch.setattr(PixelwiseLight, "radiance", counting)
-        renderer = Renderer(RIG, {"sample1": "lambert:kd=0.5"}, variant="scalar")
+        renderer = Renderer(RIG, {"sample1": "lambert:kd=0.5"}, variant="scalar", tolerance=1e-2)
         pictures = [renderer.radiance("sample1", pose) for pose in (*POSES[:1] * 3, POSES[1], POSES[0])]
         assert calls == [POSES[0], POSES[1], POSES[0]]
         assert np.array_equal(pictures[0], pictures[4])
@@ -272,26 +256,28 @@ class TestRenderer:
     def test_a_mirror_shows_the_lamp_and_only_in_the_mirror_direction(self, variant: str) -> None:
         """Would catch a mirror rendered black because a point cannot be hit by a ray."""
         renderer = Renderer(RIG, {"sample1": "mitsuba:conductor,material=none"}, variant=variant)
-        assert renderer.decisions["sample1"].method is Method.PATH
+        assert [part.method.name for part in renderer.decide("sample1", POSES[0]).parts] == ["path tracing"]
         seen = renderer.radiance("sample1", (0.5, 0.0, -0.5, 0.0))
         lamp = RIG.lamp.distance_mm**2 / (np.pi * (RIG.lamp.diameter_mm / 2.0) ** 2)
-        assert seen.max() == pytest.approx(lamp, rel=1e-4)
+        assert seen.max() == pytest.approx(lamp, rel=3e-3)
         assert not renderer.radiance("sample1", (0.5, 0.0, -0.8, 0.0)).any()
 
-    def test_a_housing_adds_light_in_proportion_to_its_albedo(self) -> None:
+    def test_a_housing_adds_light_that_grows_with_its_albedo(self) -> None:
         """Would catch stray light that is left out, and a housing that hides the lamp or the camera."""
         if choose_variant().variant != LLVM:
             pytest.skip("no LLVM >= 19 on this machine")
         pose = POSES[0]
         seen = inside(RIG, pose)
-        direct = exact(RIG, "lambert:kd=0.6").radiance(pose)[seen]
+        towards = Kinematics(RIG).frames(pose).light_mm / RIG.lamp.distance_mm
+        cosine = pixel_geometry(RIG, pose).wi[seen] @ towards
+        direct = exact(RIG, "lambert:kd=0.6").radiance(pose)[seen] * cosine[:, None]
         stray = []
-        for albedo in (0.04, 0.08):
+        for albedo in (0.2, 0.4):
             renderer = Renderer(RIG, {"sample1": "lambert:kd=0.6"}, variant="llvm", housing_albedo=albedo)
-            assert renderer.decisions["sample1"].expression == "LD+E"
             stray.append(np.mean(renderer.radiance("sample1", pose)[seen] / direct) - 1.0)
-        assert 1e-3 < stray[0] < 0.05
-        assert stray[1] / stray[0] == pytest.approx(2.0, rel=0.2)
+            assert 0.05 * albedo**2 < stray[-1] < sum(renderer.decide("sample1", pose).bounds[1:])
+        # A wall's light is in proportion; what goes from wall to wall comes on top.
+        assert 2.0 < stray[1] / stray[0] < 5.0
 
     def test_a_housing_behind_a_distorting_lens_is_refused(self) -> None:
         """Would catch a picture whose distortion is silently left out."""

@@ -1,0 +1,25 @@
+"""The table of methods that the choice goes through."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simulator.light.direct import DirectFloat64, DirectMitsuba
+from simulator.light.path_tracer import PathTracing
+from simulator.light.pixel_centres import PixelCentres
+from simulator.light.pixelwise import ClosedForm, PixelByPixel
+from simulator.light.virtual_lights import VirtualLightsMethod
+
+if TYPE_CHECKING:
+    from simulator.light.evaluator import Method
+
+METHODS: tuple[Method, ...] = (
+    ClosedForm(),
+    PixelCentres(),
+    PixelByPixel(),
+    DirectMitsuba(),
+    DirectFloat64(),
+    VirtualLightsMethod(),
+    PathTracing(),
+)
+"""Every method; the order decides only between equals."""
