@@ -157,10 +157,10 @@ class Radiosity(Evaluator):
         if not pixels.on_sample.any():
             return Rendering(radiance, 0.0, "the camera does not see the sample")
         positions, frames = pixels.position_mm[pixels.on_sample], self._kinematics.frames(angles)
-        fine, error = self._picture(frames.light_mm, frames.camera_mm, positions, LEVELS[0])[0], np.inf
+        fine, error = self.picture(frames.light_mm, frames.camera_mm, positions, LEVELS[0])[0], np.inf
         for used in LEVELS[1:]:
             coarse = fine
-            fine, other = self._picture(frames.light_mm, frames.camera_mm, positions, used)
+            fine, other = self.picture(frames.light_mm, frames.camera_mm, positions, used)
             # Patches are of second order: of those twice as large, a third of the difference is left.
             error = _rms(fine, coarse) + _rms(fine, other) / 3.0
             if error <= tolerance:
@@ -172,10 +172,24 @@ class Radiosity(Evaluator):
         )
         return Rendering(radiance, error, did)
 
-    def _picture(
+    def picture(
         self, lamp_mm: Array, camera_mm: Array, positions: Array, level: Level
     ) -> tuple[Array, Array]:
-        """Radiance (N, 3) at places of the sample, with all patches and with a quarter of them."""
+        """Radiance at places of the sample, computed as finely as told.
+
+        Parameters
+        ----------
+        lamp_mm, camera_mm : ndarray, shape (3,)
+            Where they are.
+        positions : ndarray, shape (N, 2)
+            Places (x, y) in millimetres.
+        level : Level
+
+        Returns
+        -------
+        fine, coarse : ndarray, shape (N, 3)
+            With all patches, and with a quarter of them.
+        """
         low, high = positions.min(axis=0), positions.max(axis=0)
         centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), np.finfo(float).tiny)
         nodes = np.cos(np.pi * (np.arange(level.points) + 0.5) / level.points)
