@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.text import looks_like_text, number, read_lines, row_of_numbers
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
 from rig.errors import BadInput
@@ -64,12 +64,7 @@ def read(path: Path) -> xr.Dataset:
                 where=f"{path}: line {line}",
                 todo="complete the row, separate cells by commas and write decimals with a point",
             )
-        rows.append(
-            [
-                number(cell.strip(), where=f"{path}: line {line}, column {name}")
-                for name, cell in zip(header, cells, strict=True)
-            ]
-        )
+        rows.append(row_of_numbers([cell.strip() for cell in cells], header, path=path, line=line))
         places.append(line)
     if not rows or announced not in {None, len(rows)}:
         raise BadInput(

@@ -17,7 +17,7 @@ import numpy as np
 
 from analysis.angle_table import AngleTable
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, number, read_lines, separator_of
+from analysis.formats.text import looks_like_text, read_lines, row_of_numbers, separator_of
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical
 from rig.errors import BadInput
@@ -73,24 +73,20 @@ def declared(path: Path) -> AngleTable:
     ]
     header_line, header_text = lines[0]
     separator = separator_of(header_text)
-    header = _cells(header_text, separator, f"{path}: line {header_line}")
+    header = _cells(header_text, separator, path, header_line)
     values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
     rows = []
     for line, text in lines[1:]:
-        cells = _cells(text, separator, f"{path}: line {line}")
+        cells = _cells(text, separator, path, line)
         if len(cells) != len(header):
             raise BadInput(
                 f"has {len(cells)} cells, the header {len(header)}",
                 where=f"{path}: line {line}",
                 todo="complete the row, separate cells by commas and write decimals with a point",
             )
-        rows.append(
-            [
-                number(cell, where=f"{path}: line {line}, column {name}", decimal_comma=separator != ",")
-                for name, cell in zip(header, cells, strict=True)
-            ]
-        )
-        _check_polar(dict(zip(header, rows[-1], strict=True)), f"{path}: line {line}")
+        row = row_of_numbers(cells, header, path=path, line=line, decimal_comma=separator != ",")
+        _check_polar(dict(zip(header, row, strict=True)), path, line)
+        rows.append(row)
     if not rows:
         raise BadInput("has a header but no rows", where=str(path), todo="add samples")
     _check_count(content[0], len(rows), f"{path}: line 1")
@@ -128,12 +124,12 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     return unchanged(samples, int(np.count_nonzero(usable)), kept=("u_f_r", "wavelength_nm"))
 
 
-def _check_polar(row: dict[str, float], where: str) -> None:
+def _check_polar(row: dict[str, float], path: Path, line: int) -> None:
     for name in ("theta_i_deg", "theta_o_deg"):
         if abs(row[name]) > LARGEST_POLAR_DEG:
             raise BadInput(
                 f"{row[name]:g} is no polar angle in degrees",
-                where=f"{where}, column {name}",
+                where=f"{path}: line {line}, column {name}",
                 todo="polar angles are counted from the normal; perhaps columns are exchanged",
             )
 
@@ -148,11 +144,15 @@ def _check_count(first: str, count: int, where: str) -> None:
         )
 
 
-def _cells(text: str, separator: str, where: str) -> list[str]:
+def _cells(text: str, separator: str, path: Path, line: int) -> list[str]:
+    if '"' not in text:  # the same, and much faster
+        return [cell.strip() for cell in text.split(separator)]
     try:
         return [cell.strip() for cell in next(csv.reader([text], delimiter=separator))]
     except csv.Error as error:
-        raise BadInput(f"is no row of a table ({error})", where=where, todo="correct the line") from None
+        raise BadInput(
+            f"is no row of a table ({error})", where=f"{path}: line {line}", todo="correct the line"
+        ) from None
 
 
 def _columns(header: list[str], *, where: str) -> tuple[list[str], list[str]]:

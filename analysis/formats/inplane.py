@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
-from analysis.formats.text import looks_like_text, number, read_lines, separator_of
+from analysis.formats.text import looks_like_text, read_lines, row_of_numbers, separator_of
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
@@ -148,6 +148,7 @@ def _read_commas(
         )
     if as_published and values != ["radiance_L_o"]:
         raise BadInput("holds no radiance", where=str(path), todo="leave --as-published out")
+    wanted = (*POLAR, values[0])
     rows: dict[str, list[list[float]]] = {}
     for line, text in enumerate(lines[header + 1 :], start=header + 2):
         if not text.strip() or text.startswith("#"):
@@ -160,13 +161,12 @@ def _read_commas(
                 todo="complete the row and write decimals with a point",
             )
         row = dict(zip(names, cells, strict=True))
-        numbers = [
-            columns[name]
-            * number(row[name], where=f"{path}: line {line}, column {name}", decimal_comma=separator != ",")
-            for name in (*POLAR, values[0])
-        ]
+        read_as = row_of_numbers(
+            [row[name] for name in wanted], wanted, path=path, line=line, decimal_comma=separator != ","
+        )
+        numbers = [columns[name] * value for name, value in zip(wanted, read_as, strict=True)]
         for name, angle in zip(POLAR, numbers, strict=False):
-            _check_polar(angle, f"{path}: line {line}, column {name}")
+            _check_polar(angle, path, line, name)
         rows.setdefault(row.get("material", ""), []).append(numbers)
     chosen = _choose(rows, material, path)
     theta_i, theta_o, value = np.array(rows[chosen]).T
@@ -199,11 +199,11 @@ def _choose(rows: dict[str, list[list[float]]], material: str | None, path: Path
     return material
 
 
-def _check_polar(angle_deg: float, where: str) -> None:
+def _check_polar(angle_deg: float, path: Path, line: int, column: str) -> None:
     if not -90.0 <= angle_deg <= 90.0:
         raise BadInput(
             f"{angle_deg:g} is no polar angle in degrees",
-            where=where,
+            where=f"{path}: line {line}, column {column}",
             todo="zenith angles lie in -90 to 90; perhaps zenith and azimuth are exchanged",
         )
 
@@ -249,12 +249,9 @@ def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array,
                 where=f"{path}: line {line}",
                 todo="complete the row",
             )
-        row = {
-            name: number(word, where=f"{path}: line {line}, column {name}")
-            for name, word in zip(names, words, strict=True)
-        }
+        row = dict(zip(names, row_of_numbers(words, names, path=path, line=line), strict=True))
         for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
-            _check_polar(row[name], f"{path}: line {line}, column {name}")
+            _check_polar(row[name], path, line, name)
         rows.append(row)
     if not rows:
         raise BadInput("has a header but no rows", where=f"{path}: line {header + 1}", todo="add samples")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.formats.doubts import ATTRIBUTE, UNFINISHED, unfinished
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines
+from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines, row_of_numbers
 from analysis.formats.zemax import directions
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, from_half_difference, rotation, spherical_to_direction
@@ -218,10 +218,7 @@ def _row(line: int, words: list[str], width: int, path: Path) -> list[float]:
             where=f"{path}: line {line}",
             todo="complete the row",
         )
-    return [
-        number(word, where=f"{path}: line {line}, column {column}")
-        for column, word in enumerate(words, start=1)
-    ]
+    return row_of_numbers(words, [str(column) for column in range(1, width + 1)], path=path, line=line)
 
 
 def _entry(entries: dict[str, Entry], name: str, path: Path) -> Entry:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -93,3 +94,38 @@ def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
     if not math.isfinite(value):
         raise BadInput(f"'{text[:40]}' is not a finite number", where=where, todo="correct or remove the row")
     return value
+
+
+def row_of_numbers(
+    cells: Sequence[str], columns: Sequence[str], *, path: Path, line: int, decimal_comma: bool = False
+) -> list[float]:
+    """Convert a row's cells as `number` does, at a fraction of the time where all is well.
+
+    Parameters
+    ----------
+    cells : sequence of str
+        The cells.
+    columns : sequence of str
+        What the error calls the column of each.
+    path, line
+        The table and the row's line, for the error.
+    decimal_comma : bool
+        Whether the decimals may follow a comma.
+
+    Raises
+    ------
+    BadInput
+        If a cell is no number, or not a finite one.
+    """
+    text = "".join(cells)
+    if text.isascii() and "_" not in text and "," not in text:
+        try:
+            values = list(map(float, cells))
+        except ValueError:
+            values = [math.nan]
+        if math.isfinite(sum(values)):
+            return values
+    return [
+        number(cell, where=f"{path}: line {line}, column {column}", decimal_comma=decimal_comma)
+        for cell, column in zip(cells, columns, strict=True)
+    ]
