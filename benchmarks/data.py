@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, Any
 from gonio.output import say
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 PARTS = ("data_rt300s", "data_mwir", "doctor")
 """Modules beside this one, quick ones first."""
 
 
-def run(plots: Path | None) -> list[dict[str, Any]]:
-    """Run all parts; see the module."""
-    rows: list[dict[str, Any]] = []
+def run(plots: Path | None) -> Iterator[dict[str, Any]]:
+    """Run all parts, and give the rows of each as soon as it is done; see the module."""
     for number, part in enumerate(PARTS, start=1):
         say(f"data, part {number} of {len(PARTS)}: {part}")
-        found = importlib.import_module(f"benchmarks.{part}").run(plots)
-        rows += [{**row, "name": f"{part}: {row['name']}"} for row in found]
-    return rows
+        for row in importlib.import_module(f"benchmarks.{part}").run(plots):
+            yield {**row, "name": f"{part}: {row['name']}"}

@@ -1,10 +1,10 @@
 """Run benchmarks from a checkout: time against error, against peers, measured in this run.
 
 PART names a file of the checkout's benchmarks/ folder; without it all parts run. A part is a module with a
-function run(plots), where plots is a folder for figures or None, that returns rows of name, value, unit,
-target (the bound, null for information only) and ok. A part can consist of others, its PARTS. Numerical
-libraries get one thread, so that times compare. The exit code is 1 where a target is missed. The JSON object:
-results, a list of these rows.
+function run(plots), where plots is a folder for figures or None, that gives rows of name, value, unit,
+target (the bound, null for information only) and ok, printed as they come. A part can consist of others, its
+PARTS. Numerical libraries get one thread, so that times compare. The exit code is 1 where a target is missed.
+The JSON object: results, a list of these rows.
 """
 
 from __future__ import annotations
@@ -58,10 +58,12 @@ def run(options: argparse.Namespace) -> int:
     for part, module in modules.items():
         if not options.parts and part in contained:
             continue
-        rows = [{key: row[key] for key in _KEYS} for row in module.run(plots)]
-        results += rows
         if not options.json:
-            _print_rows(part, rows)
+            print(part, flush=True)
+        for row in module.run(plots):
+            results.append({key: row[key] for key in _KEYS})
+            if not options.json:
+                _print_row(row)
     if options.json:
         print_json({"results": results})
     return 0 if all(row["ok"] for row in results) else EXIT_TARGET_MISSED
@@ -85,9 +87,7 @@ def _load(path: Path) -> Any:
     return module
 
 
-def _print_rows(part: str, rows: list[dict[str, Any]]) -> None:
-    print(part)
-    for row in rows:
-        target = "" if row["target"] is None else f"target {row['target']:g}"
-        verdict = "ok" if row["ok"] else "MISSED"
-        print(f"  {row['name']:<58} {row['value']:10.4g} {row['unit']:<8} {target:<14} {verdict}", flush=True)
+def _print_row(row: dict[str, Any]) -> None:
+    target = "" if row["target"] is None else f"target {row['target']:g}"
+    verdict = "ok" if row["ok"] else "MISSED"
+    print(f"  {row['name']:<58} {row['value']:10.4g} {row['unit']:<8} {target:<14} {verdict}", flush=True)
