@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, compared
+from analysis.formats.rgl_layout import LAYOUT
 from analysis.formats.rgl_table import Table
 from analysis.formats.scattered import Usable, interpolant_of, usable
 from analysis.interpolation.trend import fit_trend
@@ -27,8 +28,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Lookup = Callable[[Array, Array], tuple[Array, NDArray[np.bool_]]]
 
-SIDE = 193
+SIDES = (97, 145, 193)
 """Nodes of a written table along the half vector's azimuth and polar angle: Mitsuba wants a square."""
+
+STEPS_IN_SPACING = 2.0
+"""Nodes along the radius in the distance between the densest samples, if the largest side allows so many."""
 
 AZIMUTH_STEP = 3
 """Only each third azimuth is looked up, what is between is linear: surfaces change faster along theta_h."""
@@ -43,6 +47,9 @@ HORIZON_COSINE = 0.01
 """f_r at the horizon is taken from so far above it."""
 
 PROFILE_COLUMNS = 513
+
+MOST_AT_ONCE = 4_000_000
+"""Values looked up at a time: polar angles of the light share most of the work, memory bounds how many."""
 
 
 def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
@@ -72,17 +79,21 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
         found = interpolant(wi, wo)
         return found.f_r, found.hole
 
-    grid = _nodes(between, profile, _incidences(interpolant))
+    grid = _nodes(between, profile, _incidences(interpolant), _side(interpolant), given.f_r.shape[1])
     tensors = tensors_of(
         grid.theta_i, grid.values, profile, wavelengths, str(samples.attrs.get("source", ""))
     )
     table = Table(tensors, "samples")
     back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
-    loss = compared(samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm",))
+    loss = compared(
+        samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm", LAYOUT)
+    )
     return tensors, loss
 
 
-def table_of(evaluate: Callable[[Array, Array], Array], source: str) -> dict[str, NDArray[Any]]:
+def table_of(
+    evaluate: Callable[[Array, Array], Array], source: str, *, side: int = SIDES[-1]
+) -> dict[str, NDArray[Any]]:
     """Evaluate an isotropic formula onto a table of linear RGB.
 
     Parameters
@@ -91,6 +102,8 @@ def table_of(evaluate: Callable[[Array, Array], Array], source: str) -> dict[str
         (wi, wo) -> f_r (N, 3).
     source : str
         What the formula is.
+    side : int
+        Nodes along the half vector's angles, one of `SIDES`.
     """
     theta = np.radians(np.linspace(0.0, 88.0, 12))
     grid = np.meshgrid(theta, theta, np.linspace(0.0, np.pi, 12), indexing="ij")
@@ -104,7 +117,7 @@ def table_of(evaluate: Callable[[Array, Array], Array], source: str) -> dict[str
     def everywhere(wi: Array, wo: Array) -> tuple[Array, NDArray[np.bool_]]:
         return evaluate(wi, wo), np.zeros(len(wi), dtype=bool)
 
-    nodes = _nodes(everywhere, profile, FORMULA_THETA_I)
+    nodes = _nodes(everywhere, profile, FORMULA_THETA_I, side, 3)
     return tensors_of(nodes.theta_i, nodes.values, profile, None, source)
 
 
@@ -117,8 +130,8 @@ def tensors_of(
     ----------
     theta_i : ndarray, shape (T,)
         Increasing polar angles of the light, in radians.
-    values : ndarray, shape (T, C, `SIDE`, `SIDE`)
-        f_r cos(theta_o) / profile at the half vectors of `half_vectors`.
+    values : ndarray, shape (T, C, S, S)
+        f_r cos(theta_o) / profile; rows along the half vector's azimuth, columns along its radius.
     profile : callable
         Positive function of the half vector's radius sqrt(2 theta_h / pi).
     wavelengths : ndarray, shape (C,), or None
@@ -142,23 +155,6 @@ def tensors_of(
     return tensors
 
 
-def half_vectors() -> Array:
-    """Half vectors of each third azimuth of a written table, shape (65 `SIDE`, 3), the light at azimuth 0."""
-    radius, phi = np.linspace(0.0, 1.0, SIDE), np.linspace(-np.pi, np.pi, SIDE)[::AZIMUTH_STEP]
-    return spherical_to_direction(*np.meshgrid(radius**2 * (np.pi / 2.0), phi)).reshape(-1, 3)
-
-
-def all_azimuths(values: Array) -> Array:
-    """Fill in the azimuths between those of `half_vectors`, shape (C, 65 `SIDE`) to (C, `SIDE`, `SIDE`)."""
-    coarse = values.reshape(len(values), -1, SIDE)
-    filled = np.empty((len(values), SIDE, SIDE))
-    filled[:, ::AZIMUTH_STEP] = coarse
-    for step in range(1, AZIMUTH_STEP):
-        part = step / AZIMUTH_STEP
-        filled[:, step::AZIMUTH_STEP] = (1.0 - part) * coarse[:, :-1] + part * coarse[:, 1:]
-    return filled
-
-
 class _Grid(NamedTuple):
     """A table's polar angles and values; nodes above the surface, and those without samples nearby."""
 
@@ -179,37 +175,67 @@ def _incidences(interpolant: Interpolant) -> Array:
     return np.concatenate([*parts, ends[-1:]])
 
 
-def _nodes(lookup: Lookup, profile: Callable[[Array], Array], theta_i: Array) -> _Grid:
+def _side(interpolant: Interpolant) -> int:
+    """Choose the size that the samples' density asks for: more nodes would only hold interpolation."""
+    wanted = STEPS_IN_SPACING / interpolant.finest_radius + 1.0
+    return next((side for side in SIDES if side >= wanted), SIDES[-1])
+
+
+def _nodes(
+    lookup: Lookup, profile: Callable[[Array], Array], theta_i: Array, side: int, channels: int
+) -> _Grid:
     """Values over the profile; `lookup` gives f_r (N, C) and where it is a guess (N,).
 
-    Below the horizon f_r is that of the horizon and the cosine keeps its negative sign, so that what lies
-    between a node above and one below runs through zero where it should.
+    Only each third azimuth is looked up; f_r between them is linear, its cosine exact. Below the horizon f_r
+    is that of the horizon and the cosine keeps its negative sign, so that what lies between a node above and
+    one below runs through zero where it should.
     """
-    half = half_vectors()
-    over = np.resize(profile(np.linspace(0.0, 1.0, SIDE)), len(half))[:, None]
+    half = _half_vectors(side)
+    over = profile(np.linspace(0.0, 1.0, side))[:, None]
+    at_once = max(1, MOST_AT_ONCE // (half.size // 3 // AZIMUTH_STEP * channels))
     values, cells, filled = [], 0, 0
-    for theta in theta_i:
-        light = np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape)
-        camera = unit(2.0 * (light * half).sum(-1, keepdims=True) * half - light)
-        wanted = _near_the_horizon(camera[:, 2])
-        found, hole = lookup(light[wanted], _lifted(camera[wanted]))
-        f_r = np.zeros((len(half), found.shape[1]))
-        f_r[wanted] = found
-        values.append(all_azimuths((f_r * camera[:, 2:] / over).T))
-        above = camera[wanted, 2] > 0.0
+    for some in np.array_split(theta_i, -(-theta_i.size // at_once)):
+        lights = [np.broadcast_to(spherical_to_direction(theta, 0.0), half.shape) for theta in some]
+        cameras = [unit(2.0 * (light * half).sum(-1, keepdims=True) * half - light) for light in lights]
+        rows = [_near_the_horizon(camera[::AZIMUTH_STEP, :, 2]) for camera in cameras]
+        wanted = [camera[::AZIMUTH_STEP][row] for camera, row in zip(cameras, rows, strict=True)]
+        asked = np.concatenate([light[::AZIMUTH_STEP][row] for light, row in zip(lights, rows, strict=True)])
+        found, hole = lookup(asked, _lifted(np.concatenate(wanted)))
+        ends = np.cumsum([len(part) for part in wanted])[:-1]
+        for camera, row, f_r in zip(cameras, rows, np.split(found, ends), strict=True):
+            coarse = np.zeros((*row.shape, channels))
+            coarse[row] = f_r
+            values.append(np.moveaxis(_all_azimuths(coarse) * camera[..., 2:] / over, -1, 0))
+        above = np.concatenate(wanted)[:, 2] > 0.0
         cells += int(np.count_nonzero(above))
         filled += int(np.count_nonzero(hole & above))
     return _Grid(theta_i, np.stack(values), cells, filled)
 
 
-def _near_the_horizon(cosine: Array) -> NDArray[np.intp]:
-    """Nodes above the horizon and their neighbours below it: no others are looked up."""
-    above = cosine.reshape(-1, SIDE) > 0.0
+def _half_vectors(side: int) -> Array:
+    """Half vectors of the nodes, shape (azimuths, radii, 3), the light at azimuth 0."""
+    radius, phi = np.linspace(0.0, 1.0, side), np.linspace(-np.pi, np.pi, side)
+    return spherical_to_direction(*np.meshgrid(radius**2 * (np.pi / 2.0), phi))
+
+
+def _all_azimuths(coarse: Array) -> Array:
+    """Fill in the azimuths between each third one, along the first axis."""
+    filled = np.empty((AZIMUTH_STEP * (len(coarse) - 1) + 1, *coarse.shape[1:]))
+    filled[::AZIMUTH_STEP] = coarse
+    for step in range(1, AZIMUTH_STEP):
+        part = step / AZIMUTH_STEP
+        filled[step::AZIMUTH_STEP] = (1.0 - part) * coarse[:-1] + part * coarse[1:]
+    return filled
+
+
+def _near_the_horizon(cosine: Array) -> NDArray[np.bool_]:
+    """Nodes (azimuths, radii) above the horizon and their neighbours below: no others are looked up."""
+    above = cosine > 0.0
     grown = above.copy()
     for axis in (0, 1):
         for step in (-1, 1):
             grown |= np.roll(grown, step, axis=axis)
-    return np.flatnonzero(grown)
+    return grown
 
 
 def _lifted(camera: Array) -> Array:
@@ -221,6 +247,6 @@ def _lifted(camera: Array) -> Array:
 
 def _sampling_density(profile: Callable[[Array], Array], values: Array) -> Array:
     """Density (theta_i, rows, columns) that renderers draw directions from: positive everywhere."""
-    brightness = values.mean(axis=1) * profile(np.linspace(0.0, 1.0, SIDE))
+    brightness = values.mean(axis=1) * profile(np.linspace(0.0, 1.0, values.shape[-1]))
     floored: Array = np.maximum(brightness, 1e-3 * np.abs(brightness).max(axis=(1, 2), keepdims=True) + 1e-30)
     return floored

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.interpolation.kriging import Kriging, Settings, tuned, with_misfit
+from analysis.interpolation.kriging import Estimate, Kriging, Settings, tuned, with_misfit
 from analysis.interpolation.trend import Trend, fit_trend
 from rig.angles import direction_to_spherical, half_vector
 from rig.errors import BadInput
@@ -48,15 +48,6 @@ class Interpolated(NamedTuple):
     f_r: Array
     u_f_r: Array
     borrowed: Mask
-    hole: Mask
-
-
-class _Ratio(NamedTuple):
-    """Value of the ratio to the trend, its variance, and the part of it that all samples share."""
-
-    value: Array
-    variance: Array
-    common: Array
     hole: Mask
 
 
@@ -102,14 +93,13 @@ class Interpolant:
             beside = np.abs(place[:, 1]) > IN_PLANE
             place = np.concatenate([place, place[beside] * FLIP])
             table = np.concatenate([table, table[beside]])
-        ratio, own, self._common = np.hsplit(table, 3)
+        ratio, own, common = np.hsplit(table, 3)
         self.theta_i: Array = _layers(place[:, 2])
         if self.theta_i.size:
-            self._rows = [np.flatnonzero(_same(place[:, 2], angle)) for angle in self.theta_i]
-            self._fields = _tuned_layers([(place[r, :2], ratio[r], own[r]) for r in self._rows])
+            rows = [np.flatnonzero(_same(place[:, 2], angle)) for angle in self.theta_i]
+            self._fields = _tuned_layers([(place[r, :2], ratio[r], own[r], common[r]) for r in rows])
         else:
-            self._rows = [np.arange(len(place))]
-            self._fields = [tuned(Kriging(place, ratio, own, Settings()))]
+            self._fields = [tuned(Kriging(place, ratio, own, common, Settings()))]
         self.largest_theta_i = float(place[:, 2].max())
         self._curvature = self._between_layers()
 
@@ -135,49 +125,43 @@ class Interpolant:
             rows = np.flatnonzero(hole)
             other_wi, other_wo = turn(wi[rows], wo[rows])
             if self.theta_i.size:
-                # Solving is dear: what no layer is near to is a hole still.
+                # What no layer is near to is a hole still.
                 there = ~self._beyond(direction_to_spherical(other_wi)[0])
                 rows, other_wi, other_wo = rows[there], other_wi[there], other_wo[there]
             if not rows.size:
                 continue
             other = self._direct(other_wi, other_wo)
             near = ~other.hole
-            f_r[rows[near]], u[rows[near]] = (
-                values[near] for values in self._scaled(other, self.trend(other_wi, other_wo))
+            if not near.any():
+                continue
+            f_r[rows[near]], u[rows[near]] = self._scaled(
+                Estimate(*(column[near] for column in other)), self.trend(other_wi[near], other_wo[near])
             )
             hole[rows[near]], borrowed[rows[near]] = False, True
         return Interpolated(f_r, u, borrowed, hole)
 
+    @property
+    def finest_radius(self) -> float:
+        """Step of the half vector's radius that the densest samples of a layer resolve."""
+        return min(field.finest_radius for field in self._fields)
+
     @staticmethod
-    def _scaled(ratio: _Ratio, level: Array) -> tuple[Array, Array]:
+    def _scaled(ratio: Estimate, level: Array) -> tuple[Array, Array]:
         return ratio.value * level, np.sqrt(ratio.variance + np.square(ratio.common)) * level
 
-    def _direct(self, wi: Array, wo: Array) -> _Ratio:
+    def _direct(self, wi: Array, wo: Array) -> Estimate:
         place = _places(wi, wo)
         if not self.theta_i.size:
-            return self._from_field(0, place)
+            return self._fields[0](place)
         below, above, upper = self._around(place[:, 2])
         gap = self.theta_i[above] - self.theta_i[below]
         bend = self._curvature * (upper * (1.0 - upper) * np.square(gap))[:, None]
-        return self._blended(place, (below, 1.0 - upper), (above, upper), np.square(bend))
-
-    def _from_field(self, index: int, place: Array) -> _Ratio:
-        field = self._fields[index]
-        found = field(place[:, : field.place.shape[1]])
-        shared = self._common[self._rows[index]][found.neighbours]
-        common = np.abs(np.einsum("nk,nkc->nc", found.weights, shared))
-        return _Ratio(found.value, found.variance, common, found.hole)
-
-    def _blended(
-        self, place: Array, lower: tuple[Indices, Array], higher: tuple[Indices, Array], bend: Array
-    ) -> _Ratio:
-        """Blend the two layers around each place; `bend` is the variance of what lies between them."""
-        shape = (len(place), self._common.shape[1])
-        total = _Ratio(np.zeros(shape), bend.copy(), np.zeros(shape), self._beyond(place[:, 2]))
-        for index, weight in (lower, higher):
+        total = Estimate(*(np.zeros_like(bend) for _ in range(3)), self._beyond(place[:, 2]))
+        total.variance[:] = np.square(bend)
+        for index, weight in ((below, 1.0 - upper), (above, upper)):
             for layer in np.unique(index[weight > 0.0]):
                 rows = np.flatnonzero((index == layer) & (weight > 0.0))
-                part, share = self._from_field(layer, place[rows]), weight[rows, None]
+                part, share = self._fields[layer](place[rows, :2]), weight[rows, None]
                 total.value[rows] += share * part.value
                 total.variance[rows] += np.square(share) * part.variance
                 total.common[rows] += share * part.common
@@ -220,7 +204,7 @@ class Interpolant:
             kept = excess[~(low.hole | high.hole)]
             errors.append(kept / np.square(upper * (1.0 - upper) * (around[1] - around[0]) ** 2))
         if not errors or not sum(map(len, errors)):
-            return np.zeros(self._common.shape[1])
+            return np.zeros(self._fields[0].value.shape[1])
         return np.asarray(np.sqrt(np.maximum(np.concatenate(errors).mean(axis=0), 0.0)))
 
 
@@ -243,7 +227,7 @@ def _layers(theta_i: Array) -> Array:
     return known * SAME_ANGLE_RAD if layered else np.zeros(0)
 
 
-def _tuned_layers(layers: list[tuple[Array, Array, Array]]) -> list[Kriging]:
+def _tuned_layers(layers: list[tuple[Array, Array, Array, Array]]) -> list[Kriging]:
     """Choose the settings in the middle layer; each layer has its own misfit."""
     fields = [Kriging(*layer, Settings()) for layer in layers]
     settings = tuned(fields[len(fields) // 2]).settings

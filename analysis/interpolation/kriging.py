@@ -22,6 +22,8 @@ CHUNK = 800
 """Queries solved at a time: bounds the memory, and keeps it near the processor."""
 RANGE = 4.0
 """Range of the covariance in distances to the farthest neighbour."""
+DENSE_PERCENT = 5.0
+SAME_PLACE = 1e-9
 LEAST_SIGNAL = 0.01
 """Part of the neighbours' variance that is always taken as signal, however large their noise."""
 TESTS = 500
@@ -59,14 +61,21 @@ class Settings:
     depth: float = 0.8
 
 
-class Estimate(NamedTuple):
-    """Values (N, C), their variances, whether no sample is near (N,), and the weights' neighbours."""
+class Solution(NamedTuple):
+    """Values (N, C), their variances, and the uncertainty that all samples share."""
 
     value: Array
     variance: Array
+    common: Array
+
+
+class Estimate(NamedTuple):
+    """A solution, and whether no sample is near (N,)."""
+
+    value: Array
+    variance: Array
+    common: Array
     hole: NDArray[np.bool_]
-    weights: Array
-    neighbours: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +90,8 @@ class Kriging:
         Samples.
     noise : ndarray, shape (N, C)
         Their independent standard uncertainty; 0 where none is stated.
+    common : ndarray, shape (N, C)
+        The uncertainty that all share.
     settings : Settings
         Lengths and covariance.
     misfit : float
@@ -90,24 +101,48 @@ class Kriging:
     place: Array
     value: Array
     noise: Array
+    common: Array
     settings: Settings
     misfit: float = 1.0
 
     def __call__(self, place: Array) -> Estimate:
-        """Interpolate at places, shape (M, 2 or 3)."""
-        parts = [self._chunk(place[start : start + CHUNK]) for start in range(0, len(place), CHUNK)]
-        if not parts:
-            parts = [self._chunk(place)]
-        return Estimate(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        """Interpolate at places, shape (M, 2 or 3); one that is asked for several times is solved once."""
+        if place.shape[1] > 2:
+            return self._solved(place)
+        rounded = np.round(place / SAME_PLACE) @ np.array([1.0, 1.0j])
+        _, first, again = np.unique(rounded, return_index=True, return_inverse=True)
+        once = self._solved(place[first])
+        return Estimate(*(column[again] for column in once))
 
-    def leave_out(self, rows: Indices) -> Estimate:
+    def _solved(self, place: Array) -> Estimate:
+        """Solve where samples are near; a hole gets the mean of its neighbours, which costs nothing."""
+        shape = (len(place), self.value.shape[1])
+        total = Estimate(np.zeros(shape), np.zeros(shape), np.zeros(shape), np.ones(len(place), dtype=bool))
+        for start in range(0, len(place), CHUNK):
+            some = slice(start, start + CHUNK)
+            away, found = self._nearest(self._embed(place[some]), NEIGHBOURS)
+            hole = away[:, 0] > SPACINGS[1] * np.median(self._spacing[found], axis=1)
+            total.hole[some] = hole
+            rows, far = np.flatnonzero(~hole), found[hole]
+            part = self._estimate(place[some][rows], found[rows])
+            means = self.value[far].mean(axis=1), self.value[far].var(axis=1), self.common[far].mean(axis=1)
+            for column, values, mean in zip(total[:3], part, means, strict=True):
+                column[some][hole], column[some][rows] = mean, values
+        return total
+
+    def leave_out(self, rows: Indices) -> Solution:
         """Estimate samples as if they had not been taken."""
-        found = self._nearest(self._embedded[rows], NEIGHBOURS + 1)
+        _, found = self._nearest(self._embedded[rows], NEIGHBOURS + 1)
         # The sample itself is the nearest, but where several lie in one place.
         own = found == rows[:, None]
         own[~own.any(axis=1), -1] = True
         others = found[~own].reshape(len(rows), -1)
         return self._estimate(self.place[rows], others)
+
+    @property
+    def finest_radius(self) -> float:
+        """Step of the radius that counts as much as the distance between samples where they are dense."""
+        return float(np.percentile(self._spacing, DENSE_PERCENT) / np.hypot(1.0, self.settings.stretch))
 
     @cached_property
     def _embedded(self) -> Array:
@@ -135,15 +170,14 @@ class Kriging:
         columns += [self.settings.depth * place[:, 2]] if place.shape[1] > 2 else []
         return np.stack(columns, axis=-1)
 
-    def _nearest(self, point: Array, count: int) -> Indices:
+    def _nearest(self, point: Array, count: int) -> tuple[Array, Indices]:
+        """Distances and numbers of the nearest samples, nearest first."""
         # One neighbour at least, as a list: scipy drops the axis otherwise.
         wanted = np.arange(1, min(count, len(self.place)) + 1)
-        return np.asarray(self._tree.query(point, k=wanted)[1], dtype=np.intp)
+        away, found = self._tree.query(point, k=wanted)
+        return away, np.asarray(found, dtype=np.intp)
 
-    def _chunk(self, place: Array) -> Estimate:
-        return self._estimate(place, self._nearest(self._embed(place), NEIGHBOURS))
-
-    def _estimate(self, place: Array, found: Indices) -> Estimate:
+    def _estimate(self, place: Array, found: Indices) -> Solution:
         offset = self._embedded[found] - self._embed(place)[:, None]
         products = offset @ offset.transpose(0, 2, 1)
         squared = np.einsum("nii->ni", products)
@@ -168,12 +202,10 @@ class Kriging:
         scatter = np.einsum("nkc,nkc->nc", z - middle, solved[..., 2:]) - np.square(mean) * total[:, None]
         sill = np.maximum(scatter, 0.0) / max(found.shape[1] - 1, 1)
         kept = np.maximum(1.0 + self.settings.nugget + lagrange - (weights * near).sum(axis=1), 0.0)
-        return Estimate(
+        return Solution(
             np.einsum("nk,nkc->nc", weights, z),
             np.square(self.misfit) * sill * kept[:, None],
-            away.min(axis=1) > SPACINGS[1] * np.median(self._spacing[found], axis=1),
-            weights,
-            found,
+            np.abs(np.einsum("nk,nkc->nc", weights, self.common[found])),
         )
 
 

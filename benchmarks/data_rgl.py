@@ -1,0 +1,137 @@
+"""RGL and MERL tables: what is kept bit for bit, what re-sampling loses, and how long it takes.
+
+Each RGL file at hand is written back from its samples, after they were stored as NetCDF, and evaluated by
+Mitsuba's `measured` beside the original; and it is made again from random pairs of directions, as if a
+laboratory had measured those. What a table of flakes loses is compared with its own texture: how well each of
+its nodes is known from its neighbours.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.formats import merl
+from analysis.formats.rgl_resample import resample
+from analysis.formats.rgl_table import Table
+from analysis.formats.tensor import read_tensors, write_tensors
+from analysis.models import MODELS
+from analysis.samples import make_samples, read, write
+from benchmarks.rows import row
+from rig.angles import spherical_to_direction
+from rig.errors import BadInput
+from simulator.light.reflectance import mitsuba_reflectance
+from simulator.materials import parse_material
+from simulator.variant import LLVM, SCALAR, choose_variant, load_mitsuba
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "rgl"
+PAIRS, ASKED = 50_000, 5_000
+PEAK_FRACTION = 0.5
+TARGET_PERCENT = 1.0
+
+
+def run(plots: Path | None) -> list[dict[str, Any]]:
+    """Write every file back and make it again; see the module.
+
+    Raises
+    ------
+    BadInput
+        If the files are not at hand.
+    """
+    del plots
+    paths = sorted(FOLDER.glob("*.bsdf"))
+    if not paths:
+        raise BadInput("the shared measurements are not at hand", where=str(FOLDER), todo="put them there")
+    with tempfile.TemporaryDirectory() as folder:
+        rows = [row for path in paths for row in _file_rows(path, Path(folder))]
+        return [*rows, _few_samples_row(), *_merl_rows(Path(folder))]
+
+
+def _file_rows(path: Path, folder: Path) -> list[dict[str, Any]]:
+    table = Table(read_tensors(path), str(path))
+    again, made = folder / "again.bsdf", folder / "made.bsdf"
+    write(read(path), folder / "samples.nc")
+    write(read(folder / "samples.nc"), again)
+    wi, wo = _directions(PAIRS, 11, 86.0), _directions(PAIRS, 12, 88.0)
+    samples = make_samples(wi, wo, table.evaluate(wi, wo) / wo[:, 2:], channels=["R", "G", "B"])
+    start = time.perf_counter()
+    tensors, _ = resample(samples)
+    took_s = time.perf_counter() - start
+    write_tensors(made, tensors)
+    rows = []
+    for variant in (SCALAR, LLVM) if choose_variant().variant == LLVM else (SCALAR,):
+        true, kept, remade = (_by_mitsuba(variant, file) for file in (path, again, made))
+        size = np.maximum(np.abs(true), np.finfo(float).tiny)
+        name = f"{path.stem}, {variant}"
+        rows.append(
+            row(f"{name}: written back, largest error", float((np.abs(kept - true) / size).max()), "", 1e-5)
+        )
+        off = true < PEAK_FRACTION * true.max(axis=0)
+        median = 100.0 * float(np.median((np.abs(remade - true) / size)[off]))
+        rows.append(row(f"{name}: re-sampled, off peak, median", median, "%", TARGET_PERCENT))
+    return [
+        *rows,
+        row(f"{path.stem}: texture, nodes against their neighbours, median", _texture_percent(table), "%"),
+        row(f"{path.stem}: {PAIRS} samples to a table", took_s, "s", 15.0),
+    ]
+
+
+def _texture_percent(table: Table) -> float:
+    """Median difference of nodes from the mean of their four neighbours: what no smooth f_r has."""
+    value = table.values
+    middle = value[..., 1:-1, 1:-1]
+    around = value[..., 2:, 1:-1] + value[..., :-2, 1:-1] + value[..., 1:-1, 2:] + value[..., 1:-1, :-2]
+    lit = middle > 0.0
+    return 100.0 * float(np.median(np.abs(around / 4.0 - middle)[lit] / middle[lit]))
+
+
+def _few_samples_row() -> dict[str, Any]:
+    paint = MODELS["cook-torrance"](kd=0.3, ks=0.2, m=0.3, ior=1.5)
+    wi, wo = _directions(1439, 1, 75.0), _directions(1439, 2, 80.0)
+    samples = make_samples(wi, wo, paint.evaluate(wi, wo))
+    start = time.perf_counter()
+    resample(samples)
+    return row("1439 samples to a table", time.perf_counter() - start, "s", 6.0)
+
+
+def _merl_rows(folder: Path) -> list[dict[str, Any]]:
+    planes = np.random.default_rng(0).uniform(0.0, 3.0, (3, 90, 90, 180))
+    first, second = folder / "first.binary", folder / "second.binary"
+    merl.write_table(first, planes)
+    merl.write_table(second, merl.read_table(first))
+    differing = np.count_nonzero(
+        np.frombuffer(first.read_bytes(), np.uint8) != np.frombuffer(second.read_bytes(), np.uint8)
+    )
+    paint = MODELS["cook-torrance"](kd=0.3, ks=0.2, m=0.4, ior=1.5)
+    wi, wo = _directions(1439, 1, 30.0), _directions(1439, 2, 40.0)
+    start = time.perf_counter()
+    loss = merl.write(make_samples(wi, wo, paint.evaluate(wi, wo)), folder / "holes.binary")
+    return [
+        row("MERL: bytes changed by reading and writing", differing, "", 0.0),
+        row("MERL from 1439 samples", time.perf_counter() - start, "s", 10.0),
+        row("MERL from 1439 samples: bins without samples, told", 100.0 * loss.filled_part, "%"),
+    ]
+
+
+def _by_mitsuba(variant: str, path: Path) -> Array:
+    """f_r of a file by Mitsuba's `measured`, off grazing, for lights of one quadrant."""
+    wi, wo = _directions(ASKED, 7, 66.0), _directions(ASKED, 6, 66.0)
+    # Mitsuba leaves its symmetry of isotropic files unset: it does not matter there.
+    light = np.abs(wi) * [-1.0, -1.0, 1.0]
+    return np.asarray(mitsuba_reflectance(load_mitsuba(variant), parse_material(f"bsdf:{path}"))(wo, light))
+
+
+def _directions(count: int, seed: int, largest_deg: float) -> Array:
+    """Draw directions that are even over a cap."""
+    rng = np.random.default_rng(seed)
+    theta = np.arccos(rng.uniform(np.cos(np.radians(largest_deg)), 1.0, count))
+    return spherical_to_direction(theta, rng.uniform(-np.pi, np.pi, count))
