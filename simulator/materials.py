@@ -26,6 +26,8 @@ CHANNELS = 3
 
 MITSUBA_PREFIX = "mitsuba"
 MEASURED_PREFIX = "bsdf"
+NOT_RENDERED = "the material has a closed form, but Mitsuba cannot hold it"
+"""Why no method that goes through Mitsuba will do for a material that is not `rendered`."""
 _EXAMPLE = "write for example lambert:kd=0.5"
 _MEASURED_MAGIC = b"tensor_file\0"
 
@@ -81,9 +83,9 @@ class ClosedFormMaterial:
         """
         if not self.rendered:
             raise BadInput(
-                f"{self.model} has a closed form, but no lobes for tracing paths",
+                NOT_RENDERED,
                 where=self.spec,
-                todo="take black surroundings, or another model",
+                todo="take black surroundings, where the closed form is enough, or another model",
             )
         if self.model == "lambert":
             return {"type": "diffuse", "reflectance": {"type": "rgb", "value": self.truth["kd"]}}
@@ -109,6 +111,11 @@ class MitsubaMaterial:
     def truth(self) -> dict[str, list[float]]:
         """Empty: there is no closed form to recover."""
         return {}
+
+    @property
+    def rendered(self) -> bool:
+        """True: Mitsuba is all that knows it."""
+        return True
 
     def plugin(self) -> dict[str, Any]:
         """Return the description that Mitsuba loads."""

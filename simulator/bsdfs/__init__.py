@@ -45,18 +45,20 @@ def has_lobes(model: str, channels: Iterable[Mapping[str, float]]) -> bool:
 
 
 def register(mi: Any) -> None:
-    """Make the plugin `gonio` known to Mitsuba's current variant; again does nothing.
+    """Make the plugins `gonio` and `gonio-grain` known to Mitsuba's current variant; again does nothing.
 
-    Its properties are `model` and, for each parameter and channel, `<parameter>_<channel>`.
+    Properties of `gonio` are `model` and, for each parameter and channel, `<parameter>_<channel>`.
 
     Parameters
     ----------
     mi : module
         Mitsuba, its variant set.
     """
+    from simulator.bsdfs.grain import GRAIN, grain_bsdf
     from simulator.bsdfs.plugin import closed_form_bsdf
 
     variant = mi.variant()
     if variant not in _registered:
         mi.register_bsdf(PLUGIN, closed_form_bsdf(mi))
+        mi.register_bsdf(GRAIN, grain_bsdf(mi))
         _registered.add(variant)

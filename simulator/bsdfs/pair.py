@@ -142,7 +142,9 @@ def expm1(x: Any) -> Any:
 def sum_of_products(*pairs: tuple[Any, Any]) -> tuple[Any, Any]:
     """Sum of products in twice the digits (Ogita, Rump & Oishi 2005, algorithm Dot2): value and rest."""
     # One type for all: a double of the scalar variant, met by single precision, would lose its rest unseen.
-    kind = dr.expr_t(*(factor for pair in pairs for factor in pair))
+    kind: Any = dr.expr_t(*(factor for pair in pairs for factor in pair))
+    if kind is float:  # a double has twice the digits, and needs no help
+        return sum(a * b for a, b in pairs), 0.0
     total, rest = kind(0.0), kind(0.0)
     for a, b in ((kind(first), kind(second)) for first, second in pairs):
         product = a * b

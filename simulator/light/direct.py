@@ -24,7 +24,7 @@ from simulator.light.paths import LightPaths
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.light.scene import Shape
 from simulator.light.sparse_rules import CENTRES, Levels, product_rule, sparse_rule
-from simulator.materials import ClosedFormMaterial
+from simulator.materials import NOT_RENDERED, ClosedFormMaterial
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -219,6 +219,8 @@ class DirectMitsuba(_DirectMethod):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:
         """Say why it cannot; see `Method.obstacle`."""
+        if not scene.material.rendered:
+            return NOT_RENDERED
         return super().obstacle(scene, paths, vector=vector) if vector else "it needs the LLVM variant"
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
+from simulator.bsdfs.grain import GRAIN
 from simulator.light import mitsuba_scene
 from simulator.light.classes import SHORT, light_paths
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
 from simulator.light.scene import Event, Shape
-from simulator.materials import load_bsdf
+from simulator.materials import NOT_RENDERED, load_bsdf
 from simulator.sensor import derived_seed
 
 if TYPE_CHECKING:
@@ -36,9 +37,9 @@ DEEPEST = 12
 _FEWEST, _MOST = 4, 64
 """Renders: as many as tell their own spread, and as many as a pose is worth."""
 _SAMPLES_PER_PIXEL = 16
-_NOISE_DIRECT, _NOISE_STRAY = 3e-3, 1e-2
-"""Relative noise of a pixel for one path, of light that meets one surface, and that meets more."""
-_SECONDS_PER_EVENT = {True: 2e-8, False: 1.2e-7}
+_NOISE_DIRECT, _NOISE_STRAY, _NOISE_GLOSSY = 3e-3, 1e-2, 3e-2
+"""Relative noise of a pixel for one path: of light that meets one surface, or more, or more with a lobe."""
+_SECONDS_PER_EVENT = {True: 4.5e-8, False: 1.5e-7}
 """Time of one event of one path; vectorised, or not."""
 
 
@@ -77,14 +78,14 @@ class PathLight(Evaluator):
         self._mi, self._scene_data, self._kinematics = mi, scene, Kinematics(rig)
         self._samples_per_pixel = samples_per_pixel
         bsdf = load_bsdf(mi, scene.material)
-        # Mitsuba's disk has tangents that run outwards: no frame for a material with a grain.
-        grain = bool(bsdf.flags() & mi.BSDFFlags.Anisotropic)
+        if bsdf.flags() & mi.BSDFFlags.Anisotropic:
+            bsdf = mi.load_dict({"type": GRAIN, "of": bsdf})
         description: dict[str, Any] = {
             "type": "scene",
             "camera": mitsuba_scene.perspective_camera(mi, rig, samples_per_pixel),
             "lamp": mitsuba_scene.disc_lamp(mi, rig) if scene.lamp_cosine else mitsuba_scene.point_lamp(rig),
             "sample": {
-                "type": "rectangle" if grain else "disk",
+                "type": "disk",
                 "to_world": mi.ScalarTransform4f().scale(scene.sample_radius_mm),
                 "bsdf": bsdf,
             },
@@ -169,6 +170,8 @@ class PathTracing(Method):
             return "Mitsuba's camera cannot distort as this lens does"
         if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
             return "a mirror never shows a point"
+        if not scene.material.rendered:
+            return NOT_RENDERED
         if _events(scene, paths) is None:
             return "it tells paths apart by their number of events alone"
         return None
@@ -176,7 +179,8 @@ class PathTracing(Method):
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""
         first, last = _events(scene, paths) or (1, DEEPEST)
-        noise = _NOISE_DIRECT if last == 1 else _NOISE_STRAY
+        stray = _NOISE_STRAY if Event.GLOSSY not in scene.events else _NOISE_GLOSSY
+        noise = _NOISE_DIRECT if last == 1 else stray
         samples = np.clip((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST, _MOST) * _SAMPLES_PER_PIXEL
         events = last + (first - 1)
         pixels = scene.rig.camera.width_px * scene.rig.camera.height_px

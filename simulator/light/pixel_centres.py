@@ -15,7 +15,7 @@ from rig.kinematics import Kinematics
 from simulator.light.evaluator import Evaluator, Rendering
 from simulator.light.mitsuba_scene import camera_rays, point_lamp
 from simulator.light.pixelwise import PointMethod
-from simulator.materials import load_bsdf
+from simulator.materials import NOT_RENDERED, load_bsdf
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,6 +123,8 @@ class PixelCentres(PointMethod):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
+        if not scene.material.rendered:
+            return NOT_RENDERED
         return None if vector else "Mitsuba does not run vectorised"
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002

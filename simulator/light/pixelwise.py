@@ -18,7 +18,7 @@ from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.finite_size import point_error
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance, mitsuba_reflectance
-from simulator.materials import ClosedFormMaterial
+from simulator.materials import NOT_RENDERED, ClosedFormMaterial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -114,7 +114,7 @@ class PixelByPixel(PointMethod):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
-        return None
+        return None if scene.material.rendered else NOT_RENDERED
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""

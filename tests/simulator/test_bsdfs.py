@@ -10,9 +10,14 @@ import pytest
 from analysis.models import MODELS
 from benchmarks.light_bsdfs import BOUND, BOUNDS, worst_error
 from benchmarks.models_digits import directions
+from rig.description import Camera, default_rig
 from simulator import bsdfs
 from simulator.bsdfs.catalogue import LOBES
+from simulator.light.mitsuba_scene import sample_events
+from simulator.light.path_tracer import PathLight
+from simulator.light.pixel_centres import PixelCentreLight
 from simulator.light.reflectance import mitsuba_reflectance
+from simulator.light.scene import Scene
 from simulator.materials import ClosedFormMaterial, closed_form_material, load_bsdf, parse_material
 from simulator.variant import LLVM, SCALAR, choose_variant, load_mitsuba
 
@@ -102,6 +107,28 @@ def test_phong_as_published_is_not_reciprocal() -> None:
     ratio = forth[seen, 0] / back[seen, 0]
     np.testing.assert_allclose(ratio, WO[seen, 2] / WI[seen, 2], rtol=1e-4)
     assert ratio.max() > 2.0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ggx-anisotropic:kd=0.1,ks=0.5,alpha_x=0.4,alpha_y=0.1,axis_rad=0.6,f0=0.5",
+        "mitsuba:roughconductor,alpha_u=0.4,alpha_v=0.1",
+    ],
+)
+def test_a_grain_runs_the_same_way_all_over_the_sample(line: str) -> None:
+    """Would catch a grain that follows the disk's parametrisation, or a sample that is no disc for it."""
+    mi, material = mitsuba(LLVM), parse_material(line)
+    rig = default_rig(
+        camera=Camera(width_px=32, height_px=24, focal_length_px=300.0, principal_point_px=(15.5, 11.5))
+    )
+    pose = (0.3, 0.2, -0.4, 0.1)
+    scene = Scene(rig, material, sample_events(mi, material))
+    traced = PathLight(mi, scene, samples_per_pixel=64).render(pose, 1e-2).radiance
+    expected = PixelCentreLight(mi, rig, material).radiance(pose)
+    assert traced.mean() == pytest.approx(expected.mean(), rel=3e-3)
+    inside = (traced > 0.0) & (expected > 0.0)
+    assert np.median(np.abs(traced[inside] / expected[inside] - 1.0)) < 3e-3
 
 
 @pytest.mark.parametrize("name", ["ggx-conductor", "lafortune", "eon", "sgd"])

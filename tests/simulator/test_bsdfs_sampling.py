@@ -37,8 +37,11 @@ def mitsuba(variant: str) -> Any:
 
 
 def default(name: str, **changed: float) -> ClosedFormMaterial:
-    """Return a model's material with default parameters but for some."""
-    return closed_form_material(name, {p.name: p.default for p in MODELS[name].PARAMETERS} | changed)
+    """Return a model's material with default parameters but for some; a grain lies on no axis."""
+    values = {p.name: p.default for p in MODELS[name].PARAMETERS}
+    if "axis_rad" in values:
+        values["axis_rad"] = 1.1
+    return closed_form_material(name, values | changed)
 
 
 def camera(mi: Any, theta_deg: float) -> Any:
