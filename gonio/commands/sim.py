@@ -22,11 +22,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from simulator.options import add_twin_options
 
     add_twin_options(parser)
+    audit = parser.add_argument_group("asking about the twin's light, instead of starting it")
+    audit.add_argument(
+        "--explain", action="store_true", help="which light paths are computed, how, or skipped"
+    )
+    audit.add_argument("--stray", action="store_true", help="share of every kind of light path, per pose")
+    audit.add_argument(
+        "--material",
+        action="append",
+        default=[],
+        metavar="MATERIAL",
+        help="a sample to ask about (default: lambert:kd=0.5); may be repeated",
+    )
+    audit.add_argument(
+        "--housing-albedo", type=float, default=0.0, metavar="A", help="of the walls (default: 0, black)"
+    )
+    audit.add_argument(
+        "--tolerance", type=float, default=1e-3, metavar="T", help="relative error allowed (default: 1e-3)"
+    )
+    audit.add_argument(
+        "--poses", type=int, default=4, metavar="N", help="how many poses, drawn by --seed (default: 4)"
+    )
     add_json_option(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until a signal comes: 130 after Ctrl-C, 143 after SIGTERM."""
+    if options.explain or options.stray:
+        from gonio.light_text import audit
+
+        return audit(options)
     if sys.platform != "linux":
         raise Refused("the twin needs Linux's pseudo-terminals", where="gonio sim", todo="run it on Linux")
     from simulator.options import settings_from

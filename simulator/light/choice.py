@@ -121,6 +121,16 @@ class Chooser:
         self._obstacles: dict[tuple[Method, tuple[int, ...]], str | None] = {}
         self._unions: dict[tuple[int, ...], LightPaths] = {}
 
+    @property
+    def classes(self) -> tuple[PathClass, ...]:
+        """The scene's path classes."""
+        return self._shares.classes
+
+    def able(self, path_class: PathClass) -> tuple[Method, ...]:
+        """Return the methods that can compute a class by itself."""
+        number = self.classes.index(path_class)
+        return tuple(method for method in self._able[number] if self._obstacle(method, (number,)) is None)
+
     def decide(self, angles_rad: Sequence[float]) -> Decision:
         """Decide about a pose.
 

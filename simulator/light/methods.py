@@ -8,6 +8,7 @@ from simulator.light.direct import DirectFloat64, DirectMitsuba
 from simulator.light.path_tracer import PathTracing
 from simulator.light.pixel_centres import PixelCentres
 from simulator.light.pixelwise import ClosedForm, PixelByPixel
+from simulator.light.radiosity import RadiosityMethod
 from simulator.light.virtual_lights import VirtualLightsMethod
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ METHODS: tuple[Method, ...] = (
     DirectMitsuba(),
     DirectFloat64(),
     VirtualLightsMethod(),
+    RadiosityMethod(),
     PathTracing(),
 )
 """Every method; the order decides only between equals."""

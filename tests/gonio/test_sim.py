@@ -77,3 +77,42 @@ def test_what_it_cannot_use_is_one_line_and_exit_code_2(options: list[str], said
     assert said in errors
     assert len([line for line in errors.splitlines() if line.startswith("gonio sim:")]) == 1
     assert "Traceback" not in errors
+
+
+def test_explain_tells_what_is_computed_and_what_is_skipped() -> None:
+    """Would catch a decision that nobody can look at, or text where JSON was asked for."""
+    asked = [
+        "--explain",
+        "--json",
+        "--material",
+        "lambert:kd=0.3",
+        "--housing-albedo",
+        "0.04",
+        "--poses",
+        "1",
+    ]
+    command = [sys.executable, "-m", "gonio.cli", "sim", *asked, "--tolerance", "0.1"]
+    answer = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    (pose,) = answer["materials"]["lambert:kd=0.3"]["poses"]
+    assert [row["paths"] for row in pose["classes"]][:2] == ["LDlE", "LDlDlE"]
+    assert pose["classes"][0]["method"]
+    assert pose["classes"][-1]["method"] is None
+    assert 0.0 < pose["skipped_bound"] <= 0.05
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--explain", "--stray"],
+        ["--explain", "--tolerance", "0"],
+        ["--stray", "--poses", "0"],
+        ["--stray", "--housing-albedo", "1.5"],
+        ["--explain", "--material", "lambrt:kd=0.5"],
+    ],
+)
+def test_a_question_that_makes_no_sense_is_one_line(options: list[str]) -> None:
+    """Would catch a traceback, or an answer to another question."""
+    command = [sys.executable, "-m", "gonio.cli", "sim", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -17,7 +17,9 @@ from simulator.light.paths import LightPaths
 from simulator.light.scene import Scene, default_housing
 from simulator.materials import parse_material
 
-RIG = default_rig(camera=Camera(width_px=64, height_px=48, focal_length_px=600.0))
+RIG = default_rig(
+    camera=Camera(width_px=64, height_px=48, focal_length_px=600.0, principal_point_px=(31.5, 23.5))
+)
 POSE = (-0.4, 0.3, -0.5, 0.2)
 GLOSSY = "cook-torrance:kd=0.3,ks=0.5,m=0.3,ior=1.5"
 

@@ -1,0 +1,97 @@
+"""Answers of `gonio sim --explain` and `--stray` as text, or as one JSON object."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from gonio.output import print_json
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    import argparse
+
+_DEFAULT_MATERIAL = "lambert:kd=0.5"
+
+
+def audit(options: argparse.Namespace) -> int:
+    """Answer for every material asked about.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of `gonio sim`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    BadInput
+        An option, a material or the rig file is wrong.
+    Refused
+        No method covers the light of a scene.
+    """
+    from rig.description import default_rig, load_rig
+    from simulator.light.audit import audit_poses, audit_scene, explain, stray_light
+
+    if options.explain and options.stray:
+        raise BadInput("--explain and --stray together", where="gonio sim", todo="ask one at a time")
+    if not 0.0 < options.tolerance < 1.0:
+        raise BadInput(
+            f"a tolerance of {options.tolerance:g}", where="--tolerance", todo="give one between 0 and 1"
+        )
+    if options.poses < 1:
+        raise BadInput(f"{options.poses} poses", where="--poses", todo="ask for at least 1")
+    rig = load_rig(options.rig) if options.rig else default_rig()
+    poses = audit_poses(rig, options.poses, options.seed)
+    ask = explain if options.explain else stray_light
+    answers: dict[str, Any] = {}
+    for material in options.material or [_DEFAULT_MATERIAL]:
+        mi, scene = audit_scene(rig, material, housing_albedo=options.housing_albedo, variant=options.variant)
+        answers[material] = ask(mi, scene, poses, options.tolerance)
+    if options.json:
+        print_json(
+            {
+                "joints": [joint.name for joint in rig.arm_joints],
+                "housing_albedo": options.housing_albedo,
+                "tolerance": options.tolerance,
+                "materials": answers,
+            }
+        )
+        return 0
+    for material, answer in answers.items():
+        print(f"{material}: light paths {answer['paths'] or 'none'}")
+        for pose in answer["poses"]:
+            print(f"\n  {_angles(pose['angles_deg'], rig.arm_joints)}")
+            _print_explained(pose, options.tolerance) if options.explain else _print_stray(answer, pose)
+        print()
+    return 0
+
+
+def _angles(angles_deg: list[float], joints: Any) -> str:
+    return ", ".join(f"{joint.name} {angle:.1f} deg" for joint, angle in zip(joints, angles_deg, strict=True))
+
+
+def _print_explained(pose: dict[str, Any], tolerance: float) -> None:
+    print(f"    {'paths':<20} {'at most':>10}  method")
+    for row in pose["classes"]:
+        method = "skipped"
+        if row["method"]:
+            method = f"{row['method']}, about {1e3 * row['seconds']:.0f} ms"
+            if row["leaves_out"]:
+                method += f", leaves out {row['leaves_out']:.1e}"
+        print(f"    {row['paths']:<20} {row['bound']:>10.2e}  {method}")
+    verdict = "within" if pose["reached"] else "NOT within"
+    print(f"    skipped: at most {pose['skipped_bound']:.1e} of the light; {verdict} {tolerance:g} in all")
+
+
+def _print_stray(answer: dict[str, Any], pose: dict[str, Any]) -> None:
+    print(f"    {'paths':<20} {'share':>10}  {'+-':>8}")
+    for name, share, error in zip(answer["classes"], pose["shares"], pose["errors"], strict=True):
+        known = not math.isnan(share)
+        print(f"    {name:<20} {share:>10.3e}  {error:>8.1e}" if known else f"    {name:<20} {'unknown':>10}")
+    if pose["stray"] is not None:
+        print(f"    stray light: {100.0 * pose['stray']:.3f} % of all")
