@@ -1,7 +1,8 @@
 """Every number that other laboratories' data are held to, part by part.
 
 The parts can be run alone: data_rt300s (published tables from raw files, reading time, repeatability),
-data_mwir (what `gonio check` says of the published cosine), data_rgl (tables for renderers), doctor (conventions corrupted on purpose).
+data_mwir (what `gonio check` says of the published cosine), data_rgl (tables for renderers), doctor
+(conventions corrupted on purpose).
 """
 
 from __future__ import annotations

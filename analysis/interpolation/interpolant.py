@@ -135,7 +135,7 @@ class Interpolant:
             if not near.any():
                 continue
             f_r[rows[near]], u[rows[near]] = self._scaled(
-                Estimate(*(column[near] for column in other)), self.trend(other_wi[near], other_wo[near])
+                other.rows(near), self.trend(other_wi[near], other_wo[near])
             )
             hole[rows[near]], borrowed[rows[near]] = False, True
         return Interpolated(f_r, u, borrowed, hole)
@@ -156,8 +156,7 @@ class Interpolant:
         below, above, upper = self._around(place[:, 2])
         gap = self.theta_i[above] - self.theta_i[below]
         bend = self._curvature * (upper * (1.0 - upper) * np.square(gap))[:, None]
-        total = Estimate(*(np.zeros_like(bend) for _ in range(3)), self._beyond(place[:, 2]))
-        total.variance[:] = np.square(bend)
+        total = Estimate(np.zeros_like(bend), np.square(bend), np.zeros_like(bend), self._beyond(place[:, 2]))
         for index, weight in ((below, 1.0 - upper), (above, upper)):
             for layer in np.unique(index[weight > 0.0]):
                 rows = np.flatnonzero((index == layer) & (weight > 0.0))

@@ -77,6 +77,10 @@ class Estimate(NamedTuple):
     common: Array
     hole: NDArray[np.bool_]
 
+    def rows(self, chosen: Indices | NDArray[np.bool_]) -> Estimate:
+        """Choose rows, or repeat them."""
+        return Estimate(self.value[chosen], self.variance[chosen], self.common[chosen], self.hole[chosen])
+
 
 @dataclass(frozen=True, eq=False)
 class Kriging:
@@ -111,8 +115,7 @@ class Kriging:
             return self._solved(place)
         rounded = np.round(place / SAME_PLACE) @ np.array([1.0, 1.0j])
         _, first, again = np.unique(rounded, return_index=True, return_inverse=True)
-        once = self._solved(place[first])
-        return Estimate(*(column[again] for column in once))
+        return self._solved(place[first]).rows(again)
 
     def _solved(self, place: Array) -> Estimate:
         """Solve where samples are near; a hole gets the mean of its neighbours, which costs nothing."""
