@@ -26,6 +26,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.format_options import add_format_options, format_options
 from gonio.output import add_json_option, caution, print_json
 from rig.errors import BadInput, Refused
 
@@ -53,15 +54,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wavelength-nm", nargs="+", type=float, metavar="W", help="only these channels")
     parser.add_argument("--max-theta-deg", type=float, metavar="T", help="leave out larger angles")
     parser.add_argument(
-        "--blank", metavar="FILE", help="RT-300S: the measurement without a sample, subtracted"
-    )
-    parser.add_argument("--material", metavar="NAME", help="in-plane tables: which of several materials")
-    parser.add_argument(
-        "--as-published",
-        action="store_true",
-        help="in-plane radiances: with the published formula's cosine inside",
-    )
-    parser.add_argument(
         "--emissivity", metavar="E|FILE", help="of the same opaque surface, compared with 1 - albedo"
     )
     parser.add_argument("--html", metavar="FILE", help="write a page with the findings and pictures")
@@ -78,6 +70,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     rejecting.add_argument("--restore", type=int, metavar="NUMBER", help="which rejection to take back")
     rejecting.add_argument("--reason", metavar="TEXT", default="", help="why, kept in the file")
     rejecting.add_argument("--author", metavar="NAME", help="who (default: your login name)")
+    add_format_options(parser)
     add_json_option(parser)
 
 
@@ -136,15 +129,11 @@ def _require_sense(options: argparse.Namespace) -> None:
 def _read(file: str, options: argparse.Namespace) -> xr.Dataset:
     from analysis.samples import read, select
 
-    samples = read(file, **_format_options(options))
+    samples = read(file, **format_options(options))
     caution(file, samples)
     return select(
         samples, wavelength_nm=options.wavelength_nm, max_theta_deg=options.max_theta_deg, where=file
     )
-
-
-def _format_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {name: getattr(options, name) for name in ("blank", "material", "as_published")}
 
 
 def _examine(file: str, samples: xr.Dataset, options: argparse.Namespace) -> tuple[list[Finding], Diagnosis]:
@@ -159,7 +148,7 @@ def _examine(file: str, samples: xr.Dataset, options: argparse.Namespace) -> tup
     if options.emissivity:
         known = read_emissivity(options.emissivity, Path(options.emissivity), options.material)
         findings.append(emissivity(usable_samples(samples), known))
-    diagnosis = diagnose(declared_table(Path(file), _format_options(options)))
+    diagnosis = diagnose(declared_table(Path(file), format_options(options)))
     return [*findings, conventions(diagnosis)], diagnosis
 
 
@@ -169,7 +158,7 @@ def _conventions(options: argparse.Namespace) -> int:
 
     entries = []
     for file in options.files:
-        diagnosis = diagnose(declared_table(Path(file), _format_options(options)))
+        diagnosis = diagnose(declared_table(Path(file), format_options(options)))
         if options.json:
             entries.append({"file": file, "conventions": _diagnosis_entry(diagnosis)})
         else:
@@ -186,7 +175,7 @@ def _reread(options: argparse.Namespace) -> int:
     from analysis.samples import write
 
     reading = reading_of(options.reading)
-    samples = reread(declared_table(Path(options.files[0]), _format_options(options)), reading)
+    samples = reread(declared_table(Path(options.files[0]), format_options(options)), reading)
     loss = write(samples, options.out)
     left_out = samples.attrs["reading_left_out"]
     if options.json:

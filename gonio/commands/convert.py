@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.format_options import add_format_options, format_options
 from gonio.output import add_json_option, caution, print_json
 from rig.errors import BadInput
 
@@ -39,10 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fill", action="store_true", help="allow guesses in cells of a grid that no sample is near"
     )
-    parser.add_argument(
-        "--blank", metavar="FILE", help="RT-300S: the measurement without a sample, subtracted"
-    )
-    parser.add_argument("--material", metavar="NAME", help="in-plane tables: which of several materials")
+    add_format_options(parser)
     add_json_option(parser)
 
 
@@ -58,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     require_writer(out, options.to)  # before the work, not after it
     tables = [
         select(
-            read(file, blank=options.blank, material=options.material),
+            read(file, **format_options(options)),
             wavelength_nm=options.wavelength_nm,
             max_theta_deg=options.max_theta_deg,
             where=file,

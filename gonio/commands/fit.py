@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from gonio.format_options import add_format_options, format_options
 from gonio.output import Progress, add_json_option, caution, print_json, say
 from rig.errors import BadInput
 
@@ -51,9 +52,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="channels to fit together",
     )
     parser.add_argument(
-        "--blank", metavar="FILE", help="RT-300S: the measurement without a sample, subtracted"
-    )
-    parser.add_argument(
         "--loss",
         metavar="NAME",
         help="chi2, log, cbrt, l2 or robust (default: chi2 where uncertainties exist, else log)",
@@ -83,6 +81,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="write the best fit of the file for renderers, and say how near that is: .xml or .json for "
         "Mitsuba, .gltf or .mtlx for the nearest metallic-roughness material",
     )
+    add_format_options(parser)
     add_json_option(parser)
 
 
@@ -178,7 +177,7 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
     from analysis.units import require_degrees
     from gonio.fit_entry import masked
 
-    given = read(file, blank=options.blank)
+    given = read(file, **format_options(options))
     doubts = caution(file, given)
     whole = select(given, wavelength_nm=options.wavelength_nm, where=file)
     require_degrees(whole, file)

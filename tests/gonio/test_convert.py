@@ -141,3 +141,17 @@ def test_a_file_that_may_be_cut_is_doubted(folder, capsys):
         said = capsys.readouterr()
         assert "caution: paint.csv: the last line has no end" in said.err, command
         assert "the last line has no end" in said.out, command
+
+
+@pytest.mark.parametrize(
+    "command", [["convert", "t", "out.csv"], ["check", "t"], ["fit", "t", "--model", "lambert"]]
+)
+def test_options_of_formats_are_the_same_everywhere(folder, capsys, command):
+    """Catches a reader's option that a command does not take, and one that is dropped in silence."""
+    (folder / "t").write_text(
+        "material,theta_o_deg,theta_i_deg,f_r\n" + "".join(f"a,{o},20,0.3\nb,{o},20,0.4\n" for o in range(40))
+    )
+    assert main([*command, "--material", "a"]) in {0, 3}
+    assert main([*command, "--material", "c"]) == 2
+    assert main([*command, "--material", "a", "--side", "back"]) == 2
+    assert "side means nothing to in-plane table" in capsys.readouterr().err
