@@ -96,7 +96,7 @@ class Surroundings:
         walls = light.walls
         if len(walls) > 1 and not light.mirrored:
             walls = walls[self._cells.above]
-        return light.kept * self._wall_albedo / np.pi * walls.max(axis=0)
+        return np.asarray(light.kept * self._wall_albedo / np.pi * walls.max(axis=0))
 
     def irradiance_of_sample(self, light: Light) -> Array:
         """Irradiance (channels,) of the sample by walls, or by mirrors that show them."""
@@ -123,7 +123,7 @@ class Surroundings:
         # Each point of the lamp's disc has a frame of its own, shifted by no more than this.
         away = np.linalg.norm(spots - light.lamp_mm, axis=1)
         shift = self._scene.lamp_radius_mm * float(np.max(scale * away)) / height
-        return _distance_to_polygon(spots[:, :2]) <= self._scene.sample_radius_mm + shift
+        return bool(_distance_to_polygon(spots[:, :2]) <= self._scene.sample_radius_mm + shift)
 
     def series(self, lights: Sequence[Light]) -> Light | None:
         """Sum lights and all that they become over any number of further surfaces.

@@ -80,9 +80,9 @@ class Cells:
         height = _most(self._low, self._high, lamp_mm, lamp_mm, self._normal) + radius_mm
         found = intensity * np.minimum(height / near, 1.0) / near**2
         if axis is None:
-            return found
+            return np.asarray(found)
         ahead = _most(lamp_mm, lamp_mm, self._low, self._high, axis) + radius_mm
-        return found * np.clip(ahead / near, 0.0, 1.0)
+        return np.asarray(found * np.clip(ahead / near, 0.0, 1.0))
 
     def exchange(self, leaving: Array) -> Array:
         """Irradiance of the walls by radiosities (cells, channels) of all walls, at most."""
@@ -90,7 +90,7 @@ class Cells:
 
     def on_sample(self, leaving: Array) -> Array:
         """Irradiance (channels,) of the sample by radiosities (cells, channels) of the walls, at most."""
-        return _brightest_first(leaving, self._seen_by_sample[None])[0]
+        return np.asarray(_brightest_first(leaving, self._seen_by_sample[None])[0])
 
 
 def _brightest_first(leaving: Array, most: Array) -> Array:

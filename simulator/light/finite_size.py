@@ -52,7 +52,7 @@ def point_error(
     rows, cols = (np.linspace(0, n - 1, min(n, _ROWS)) for n in (rig.camera.height_px, rig.camera.width_px))
     seen = pixel_geometry(rig, angles_rad, rows=rows, cols=cols).on_sample
     if not seen.any():
-        rows, cols = np.arange(rig.camera.height_px), np.arange(rig.camera.width_px)
+        rows, cols = (np.arange(float(n)) for n in (rig.camera.height_px, rig.camera.width_px))
         seen = pixel_geometry(rig, angles_rad).on_sample
         if not seen.any():
             return 0.0

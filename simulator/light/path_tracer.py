@@ -164,8 +164,6 @@ class PathTracing(Method):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
-        if scene.shape is not Shape.FLAT:
-            return f"the sample is no plane but a {scene.shape}"
         if any(scene.rig.camera.distortion):
             return "Mitsuba's camera cannot distort as this lens does"
         if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
@@ -174,7 +172,7 @@ class PathTracing(Method):
             return NOT_RENDERED
         if _events(scene, paths) is None:
             return "it tells paths apart by their number of events alone"
-        return None
+        return None if scene.shape is Shape.FLAT else f"the sample is no plane but a {scene.shape}"
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""

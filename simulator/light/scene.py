@@ -113,12 +113,12 @@ class PlanarMirror:
     def corners_mm(self) -> Array:
         """Corners in order around it, shape (4, 3)."""
         centre, across, up = (np.asarray(v) for v in (self.centre_mm, self.across_mm, self.up_mm))
-        return centre + np.array([across + up, up - across, -across - up, across - up])
+        return np.asarray(centre + np.array([across + up, up - across, -across - up, across - up]))
 
     def image(self, points_mm: Array) -> Array:
         """Return where points (..., 3) appear in it."""
         height = (points_mm - np.asarray(self.centre_mm)) @ self.normal
-        return points_mm - 2.0 * height[..., None] * self.normal
+        return np.asarray(points_mm - 2.0 * height[..., None] * self.normal)
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,7 +114,7 @@ class Shares:
         brightest = around.radiance_on_sample(light)
         found = pose.largest * around.sample_on_itself(light)
         # What f_r is at least, all walls light together; the rest may look where they are brightest.
-        return found + pose.least * around.irradiance_of_sample(light) + pose.rest * brightest
+        return np.asarray(found + pose.least * around.irradiance_of_sample(light) + pose.rest * brightest)
 
     def _longer(self, pose: _Pose) -> Array | None:
         """Mean radiance of all paths beyond the short ones, at most: a geometric series."""
@@ -128,7 +128,7 @@ class Shares:
         brightest = around.radiance_on_sample(total)
         mirrored = brightest if Event.MIRROR in self._scene.events else 0.0
         scattered = (np.pi * pose.least + pose.rest) * brightest
-        return scattered + mirrored + pose.largest * around.sample_on_itself(total)
+        return np.asarray(scattered + mirrored + pose.largest * around.sample_on_itself(total))
 
 
 def _share(radiance: Array | None, direct: Array) -> float:
