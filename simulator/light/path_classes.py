@@ -138,13 +138,13 @@ def class_table(classes: Sequence[LightPaths], longest: int) -> NDArray[np.uint3
 
 def _start(events: int) -> int:
     """Return the place of the first word of so many events."""
-    return (_LETTERS**events - 1) // (_LETTERS - 1)
+    return sum(_LETTERS**shorter for shorter in range(events))
 
 
 def _place(word: str) -> int:
     """Return a word's place: its events from the camera on, as digits."""
     codes = [_CODES[event] for event in word[1:-1].replace("D", " D").replace("S", " S").split()]
-    return _start(len(codes)) + sum(code * _LETTERS**k for k, code in enumerate(reversed(codes)))
+    return _start(len(codes)) + int(sum(code * _LETTERS**k for k, code in enumerate(reversed(codes))))
 
 
 @cache
@@ -152,7 +152,7 @@ def _integrator_type(mi: Any) -> Any:
     """Return the integrator's class: its base exists once Mitsuba's variant is set."""
     import drjit as dr
 
-    class ByPathClass(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+    class ByPathClass(mi.SamplingIntegrator):  # type: ignore[misc]
         """One image for every class of paths."""
 
         def __init__(

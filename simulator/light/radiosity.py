@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from simulator.light.scene import Scene
-    from simulator.light.walls import WallRule
+    from simulator.light.walls import Indices, WallRule
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
@@ -220,7 +220,7 @@ class Radiosity(Evaluator):
             weights *= 1.0 - _in_rings(wi, wo)
         kept = self._reflected(wi, wo) * weights[..., None]
         radiance = np.einsum("knc,snc->skc", kept, leaving)
-        return (
+        return np.asarray(()
             radiance + self._gather_lobe(lamp_mm, points, wo, level, repeated) if self._glossy else radiance
         )
 
@@ -302,13 +302,13 @@ class Radiosity(Evaluator):
         return found
 
 
-def _aggregated(shares: Array, parents: Array) -> Array:
+def _aggregated(shares: Array, parents: Indices) -> Array:
     """Form factors between patches that are groups of equal ones."""
     of = np.equal.outer(np.arange(int(parents.max()) + 1), parents).astype(np.float64)
     return np.asarray(of @ shares @ of.T / of.sum(axis=1, keepdims=True))
 
 
-def _means(values: Array, parents: Array) -> Array:
+def _means(values: Array, parents: Indices) -> Array:
     counts = np.bincount(parents)
     total = np.zeros((len(counts), *values.shape[1:]))
     np.add.at(total, parents, values)
