@@ -220,9 +220,9 @@ class Radiosity(Evaluator):
             weights *= 1.0 - _in_rings(wi, wo)
         kept = self._reflected(wi, wo) * weights[..., None]
         radiance = np.einsum("knc,snc->skc", kept, leaving)
-        return np.asarray(()
-            radiance + self._gather_lobe(lamp_mm, points, wo, level, repeated) if self._glossy else radiance
-        )
+        if self._glossy:
+            radiance += self._gather_lobe(lamp_mm, points, wo, level, repeated)
+        return np.asarray(radiance)
 
     def _gather_lobe(self, lamp_mm: Array, points: Array, wo: Array, level: Level, repeated: Array) -> Array:
         """Light from about the mirror direction, (2, K, 3)."""
