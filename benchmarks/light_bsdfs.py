@@ -35,6 +35,9 @@ BOUNDS = {
     "ashikhmin-shirley": 2e-4,
     "beckmann-anisotropic": 1e-3,
     "ggx-anisotropic": 1e-3,
+    # Values down to 1e-30 have logarithms down to -69, whose last digit is 4e-6.
+    "lafortune": 2e-5,
+    "lafortune-retro": 2e-5,
     # Its masking is a difference that ends in zero at some angle, of a power of up to 100.
     "sgd": 3e-2,
 }

@@ -38,7 +38,8 @@ def grain_bsdf(mi: Any) -> type:
             return self.of.pdf(context, self._in_the_world(si), si.to_world(wo), active)
 
         def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
-            return self.of.eval_pdf(context, self._in_the_world(si), si.to_world(wo), active)
+            value, density = self.of.eval_pdf(context, self._in_the_world(si), si.to_world(wo), active)
+            return value, density
 
         def sample(
             self, context: Any, si: Any, sample1: Any, sample2: Any, active: Any = True

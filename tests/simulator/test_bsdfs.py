@@ -72,7 +72,7 @@ def test_scalar_values_are_those_of_the_closed_form(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize(("variant", "draws", "count"), [(LLVM, 200, 2000), (SCALAR, 20, 40)])
+@pytest.mark.parametrize(("variant", "draws", "count"), [(LLVM, 60, 2000), (SCALAR, 6, 40)])
 def test_values_over_the_whole_box(name: str, variant: str, draws: int, count: int) -> None:
     """Would catch what a few draws miss."""
     worst = worst_error(mitsuba(variant), name, draws, count)
