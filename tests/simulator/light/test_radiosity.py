@@ -99,9 +99,9 @@ class TestAgainstThreePoint:
         """Would catch paths counted twice or never."""
         what = scene(PAINT, 0.3)
         parts = ("LDlDgE", "LDlDlDgE", "LDgDlDgE", "LD(D|Dl)(D|Dl)+DgE")
-        found = [evaluator(what, paths).render(ANGLES, 1e-3).radiance for paths in parts]
-        whole = evaluator(what, "LD*DlDgE").render(ANGLES, 1e-3).radiance
-        np.testing.assert_allclose(sum(found), whole, rtol=1e-3)
+        found = [evaluator(what, paths).render(ANGLES, 3e-2).radiance for paths in parts]
+        whole = evaluator(what, "LD*DlDgE").render(ANGLES, 3e-2).radiance
+        np.testing.assert_allclose(sum(found), whole, rtol=2e-3)
 
 
 class TestClosedForm:
