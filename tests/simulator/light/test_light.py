@@ -279,8 +279,8 @@ class TestRenderer:
         # A wall's light is in proportion; what goes from wall to wall comes on top.
         assert 2.0 < stray[1] / stray[0] < 5.0
 
-    def test_a_housing_behind_a_distorting_lens_is_refused(self) -> None:
+    def test_a_mirror_behind_a_distorting_lens_is_refused(self) -> None:
         """Would catch a picture whose distortion is silently left out."""
-        renderer = Renderer(DISTORTED, {"sample1": "lambert:kd=0.6"}, variant="scalar", housing_albedo=0.04)
+        renderer = Renderer(DISTORTED, {"sample1": "mitsuba:conductor,material=none"}, variant="scalar")
         with pytest.raises(Refused, match="distort"):
             renderer.radiance("sample1", POSES[0])
