@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,7 +146,7 @@ def _material(line: str) -> ClosedFormMaterial:
 
 def _poses(rng: np.random.Generator, count: int, spread: float) -> list[tuple[float, ...]]:
     """Poses of which every other one is near the mirror direction."""
-    poses = []
+    poses: list[tuple[float, ...]] = []
     for index in range(count):
         light, camera, azimuth, table = rng.uniform(-1.2, 1.2, 4)
         if index % 2:
@@ -197,8 +198,8 @@ def _compare(
         ours.render(pose, AREA_ERROR)
         theirs.render(pose)
     for seed, pose in enumerate(poses):
-        seconds, rendering = _timed(lambda pose=pose: ours.render(pose, AREA_ERROR))
-        direct_seconds, image = _timed(lambda pose=pose, seed=seed: theirs.render(pose, seed))
+        seconds, rendering = _timed(partial(ours.render, pose, AREA_ERROR))
+        direct_seconds, image = _timed(partial(theirs.render, pose, seed))
         pixels, truth = _truth(material, extents, levels, pose)
         error = _error(rendering.radiance, pixels, truth)
         yield Compared(error, seconds, _error(image, pixels, truth), direct_seconds)
@@ -235,10 +236,10 @@ def _many(mi: Any, material: ClosedFormMaterial, rng: np.random.Generator) -> li
     spent = {"points": 0.0, "sizes": 0.0, "direct": 0.0}
     for start in range(0, MANY, CHUNK):
         chunk = poses[start : start + CHUNK]
-        spent["points"] += _timed(lambda chunk=chunk: _drain(points.render_many(chunk, 1e-3)))[0]
-        spent["sizes"] += _timed(lambda chunk=chunk: _drain(sizes.render_many(chunk, 1e-3)))[0]
+        spent["points"] += _timed(partial(_drain, points.render_many(chunk, 1e-3)))[0]
+        spent["sizes"] += _timed(partial(_drain, sizes.render_many(chunk, 1e-3)))[0]
         for pose in chunk[:DIRECT_PER_CHUNK]:
-            spent["direct"] += _timed(lambda pose=pose: theirs.render(pose))[0]
+            spent["direct"] += _timed(partial(theirs.render, pose))[0]
     direct = spent["direct"] * CHUNK / DIRECT_PER_CHUNK
     label = f"{MANY} poses of {SIDE_PX} x {SIDE_PX}, m = 0.3"
     return [
@@ -266,8 +267,8 @@ def _scalar(materials: dict[str, ClosedFormMaterial], rng: np.random.Generator) 
     spent: dict[str, list[float]] = {"direct": [], **{name: [] for name in ours}}
     for pose in _poses(rng, SCALAR_POSES, 0.3):
         for name, light in ours.items():
-            spent[name].append(_timed(lambda light=light, pose=pose: light.render(pose, 1e-3))[0])
-        spent["direct"].append(_timed(lambda pose=pose: theirs.render(pose))[0])
+            spent[name].append(_timed(partial(light.render, pose, 1e-3))[0])
+        spent["direct"].append(_timed(partial(theirs.render, pose))[0])
     rows = [row(f"scalar, {name}: time of a pose", 1e3 * np.median(spent[name]), "ms") for name in ours]
     rows.append(row("scalar, Lambert: time of direct", 1e3 * np.median(spent["direct"]), "ms"))
     load_mitsuba("llvm")
@@ -314,9 +315,7 @@ def _narrow(mi: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
         for tolerance in (1e-2, 1e-3, 1e-4):
             light = _llvm(mi, material, ALL)
             light.render(poses[0], tolerance)
-            done = [
-                _timed(lambda light=light, pose=pose, t=tolerance: light.render(pose, t)) for pose in poses
-            ]
+            done = [_timed(partial(light.render, pose, tolerance)) for pose in poses]
             errors = [_error(found.radiance, *truth) for (_, found), truth in zip(done, truths, strict=True)]
             label = f"m = {m:g}, tolerance {tolerance:g}, {done[0][1].did.split(':')[0]}"
             rows.append(row(f"{label}: worst error", max(errors)))
