@@ -177,7 +177,24 @@ def _left_out(step: Array, turned: Array, normal: Array, extra: Array) -> Array:
 
 
 def _steps(x: Array, normal: Array, gradient: Array, *, damping: Array, bounds: tuple[Array, Array]) -> Array:
-    """Damped steps of the free parameters; those that meet a bound stop there, and the others step anew."""
+    """Damped steps of the free parameters; those that meet a bound stop there, and the others step anew.
+
+    All that lead beyond are stopped together, which takes the fewest turns. Where two parameters make up for
+    one another that may lead uphill; there the first to meet its bound is stopped alone.
+    """
+    step = _stopped(x, normal, gradient, damping, bounds, together=True)
+    uphill = np.einsum("mp,mp->m", gradient, step) + 0.5 * _form(normal, step) > 0.0
+    if uphill.any():
+        low, high = (side[uphill] for side in bounds)
+        step[uphill] = _stopped(
+            x[uphill], normal[uphill], gradient[uphill], damping[uphill], (low, high), together=False
+        )
+    return step
+
+
+def _stopped(
+    x: Array, normal: Array, gradient: Array, damping: Array, bounds: tuple[Array, Array], *, together: bool
+) -> Array:
     low, high = bounds
     step = np.zeros_like(x)
     held = (low == high) | ((x <= low) & (gradient > 0.0)) | ((x >= high) & (gradient < 0.0))
@@ -193,10 +210,13 @@ def _steps(x: Array, normal: Array, gradient: Array, *, damping: Array, bounds: 
         rest = gradient + np.einsum("mpq,mq->mp", normal, np.where(held, step, 0.0))
         wanted = np.where(free, -rest / length, step * length)
         step = np.linalg.solve(matrix, wanted[..., None])[..., 0] / length
-        target = x + step
-        beyond = free & ((target < low) | (target > high))
+        target = np.clip(x + step, low, high)
+        beyond = free & (target != x + step)
         if not beyond.any():
             break
-        step = np.where(beyond, np.clip(target, low, high) - x, step)
+        if not together:
+            room = np.where(beyond, (target - x) / np.where(beyond, step, 1.0), np.inf)
+            beyond &= room == room.min(axis=1, keepdims=True)
+        step = np.where(beyond, target - x, step)
         held |= beyond
     return np.asarray(np.clip(x + step, low, high) - x)

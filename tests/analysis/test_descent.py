@@ -131,3 +131,18 @@ def test_large_residuals_do_not_slow_the_search():
     found = search(residual, slopes, np.array([0.2]), bounds, tolerance=1e-15, most=3000)
     np.testing.assert_allclose(found.x, 0.0, atol=1e-6)
     assert len(calls) < 25
+
+
+def test_parameters_that_make_up_for_one_another_meet_a_bound():
+    """Catches a search that stays where it began: both would leave the box together, one of them ought to."""
+    matrix = np.linalg.cholesky(np.array([[1.0, -3.0], [-3.0, 9.1]])).T
+    wanted = matrix @ np.array([-3.0, -0.9])
+    found = search(
+        lambda x: matrix @ x - wanted,
+        lambda x: matrix,  # noqa: ARG005
+        np.array([0.05, 0.094]),
+        (np.zeros(2), np.full(2, np.inf)),
+        tolerance=1e-14,
+        most=50,
+    )
+    np.testing.assert_allclose(found.x, [0.0, 9.0 / 9.1 - 0.9], atol=1e-9)
