@@ -64,9 +64,10 @@ def draw(path: Path, candidate: Candidate, channels: Sequence[str], *, title: st
     stations, tolerance_deg = incidences(geometry.wi, geometry.wo)
     rows = -(-len(stations) // COLUMNS) or 1
     with figure(WIDTH_IN, 0.45 + rows * PANEL_IN + LOWER_IN) as drawn:
-        upper, lower = drawn.subfigures(2, 1, height_ratios=[rows * PANEL_IN + 0.35, LOWER_IN])
+        heights = [rows * PANEL_IN + 0.35, LOWER_IN]
+        upper, lower = drawn.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
         _draw_scans(upper, result, channels, stations, tolerance_deg)
-        left, right = lower.subfigures(1, 2, width_ratios=[1.1, 1.0])
+        left, right = lower.subfigures(1, 2, squeeze=False, width_ratios=[1.1, 1.0])[0]
         _draw_map(left, result)
         if isinstance(result, FactoredFit):
             _draw_tables(right, result, channels)
