@@ -6,12 +6,13 @@ import contextlib
 import json
 import math
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     import xarray as xr
 
@@ -60,6 +61,26 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, str | int | bool):
         return value
     return str(value)
+
+
+@contextlib.contextmanager
+def at_work(what: str, *, after_s: float = 2.0, every_s: float = 5.0) -> Iterator[None]:
+    """Say on standard error that work whose end nobody knows goes on, once it takes longer than `after_s`."""
+    begin, done = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        wait = after_s
+        while not done.wait(wait):
+            say(f"{what}  {time.monotonic() - begin:.0f} s")
+            wait = every_s
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
 
 
 class Progress:

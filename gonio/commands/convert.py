@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.format_options import add_format_options, format_options
-from gonio.output import add_json_option, caution, print_json
+from gonio.output import add_json_option, at_work, caution, print_json
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ def run(options: argparse.Namespace) -> int:
     ]
     samples, left_behind = join(tables, options.files)
     doubts = caution(" ".join(options.files), samples)
-    done = convert(samples, out, to=options.to, fill=options.fill)
+    with at_work(f"writing {out}"):
+        done = convert(samples, out, to=options.to, fill=options.fill)
     result = {
         "files": options.files,
         "out": [str(path) for path in done.files],

@@ -10,11 +10,11 @@ each channel's own. docs/fit.md explains the tables, the pictures and the JSON o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from gonio.format_options import add_format_options, format_options
-from gonio.output import Progress, add_json_option, caution, print_json, say
+from gonio.output import Progress, add_json_option, at_work, caution, print_json, say
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -117,16 +117,15 @@ def run(options: argparse.Namespace) -> int:
             print(page(file, fitted[-1].channels, fitted[-1].ranked, masked=fitted[-1].masked[0],
                        left_out=fitted[-1].left_out))  # fmt: skip
     compared = _compared(fitted) if options.compare else {}
+    exported = _export(options.export, fitted[0]) if options.export else {}
     if options.json:
-        print_json(_object(fitted, compared, with_comparison=options.compare))
+        print_json(_object(fitted, compared, with_comparison=options.compare) | exported)
     elif options.compare:
         from gonio.fit_text import side_by_side
 
         print(side_by_side(options.files, fitted[0].channels, compared))
     if options.plots:
         _draw(options.plots, fitted)
-    if options.export:
-        _export(options.export, fitted[0])
     return 0
 
 
@@ -143,14 +142,17 @@ def _check_export(options: argparse.Namespace) -> None:
     check_name(Path(options.export))
 
 
-def _export(out: str, fitted: _Fitted) -> None:
-    """Write the best fit for renderers, and say what that loses."""
+def _export(out: str, fitted: _Fitted) -> dict[str, Any]:
+    """Write the best fit for renderers, say what that loses, and return it for the JSON object."""
     from pathlib import Path
 
     from analysis.exports import export
 
     best = fitted.ranked[0]
-    say(f"{best.name} to {export(best.result.model, Path(out), name=best.name, channels=fitted.channels)}")
+    with at_work(f"writing {out}"):
+        written = export(best.result.model, Path(out), name=best.name, channels=fitted.channels)
+    say(f"{best.name} to {written}")
+    return {"export": {"model": best.name, **asdict(written)}}
 
 
 def _check_names(names: Sequence[str]) -> None:

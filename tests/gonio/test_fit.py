@@ -67,6 +67,15 @@ def test_every_key_is_documented_and_every_documented_key_printed(table, tmp_pat
     keys = set(printed) | set(ours["ggx"]) | set(ours["factored"]) | set(printed["comparison"][0])
     keys |= set(ours["ggx"]["masked"]) | set(ours["ggx"]["parameters"]["alpha"])
     keys |= set(ours["factored"]["tables"]["D"]) | set(ours["ggx"]["covariance"])
+    out = tmp_path / "paint.gltf"
+    colours = tmp_path / "colours.csv"
+    colours.write_text(table.read_text("utf-8").replace("_R", "_650nm").replace("_G", "_550nm"), "utf-8")
+    colour = ["--wavelength-nm", "550"]
+    assert main(["fit", str(colours), *colour, "--model", "ggx", "--export", str(out), "--json"]) == 0
+    exported = json.loads(capsys.readouterr().out)["export"]
+    assert out.exists()
+    assert 0.0 <= exported["median_relative"] < exported["p95_relative"]
+    keys |= {"export", *exported}
     assert keys - documented == set()
     assert documented - keys <= {"kind", "parameters", "text"}
     matrix = np.array(ours["ggx"]["covariance"]["matrix"])
