@@ -7,10 +7,9 @@ data_mwir (what `gonio check` says of the published cosine), data_rgl (tables fo
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import say
+from benchmarks.parts import run_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +20,5 @@ PARTS = ("data_rt300s", "data_mwir", "data_rgl", "doctor")
 
 
 def run(plots: Path | None) -> Iterator[dict[str, Any]]:
-    """Run all parts, and give the rows of each as soon as it is done; see the module."""
-    for number, part in enumerate(PARTS, start=1):
-        say(f"data, part {number} of {len(PARTS)}: {part}")
-        for row in importlib.import_module(f"benchmarks.{part}").run(plots):
-            yield {**row, "name": f"{part}: {row['name']}"}
+    """Run all parts; see the module."""
+    return run_parts("data", PARTS, plots)

@@ -8,25 +8,18 @@ found). The last three take most of the time.
 
 from __future__ import annotations
 
-import importlib
-import time
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import say
+from benchmarks.parts import run_parts
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 PARTS = ("fit_plain", "fit_factored", "fit_files", "nist_strd", "models", "fit_coverage", "fit_optimum")
 """Modules beside this one, quick ones first."""
 
 
-def run(plots: Path | None) -> list[dict[str, Any]]:
+def run(plots: Path | None) -> Iterator[dict[str, Any]]:
     """Run all parts; see the module."""
-    begin = time.monotonic()
-    rows: list[dict[str, Any]] = []
-    for number, part in enumerate(PARTS, start=1):
-        say(f"fit, part {number} of {len(PARTS)}: {part}, after {time.monotonic() - begin:.0f} s")
-        found = importlib.import_module(f"benchmarks.{part}").run(plots)
-        rows += [{**row, "name": f"{part}: {row['name']}"} for row in found]
-    return rows
+    return run_parts("fit", PARTS, plots)
