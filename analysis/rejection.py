@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from analysis.sample_matching import Matching
+
 Indices = NDArray[np.intp]
 
 REJECTED = 1 << 30
@@ -184,6 +186,62 @@ def restore(samples: xr.Dataset, number: int, *, reason: str, author: str, date:
     return _appended(samples, "restore", {"of": number}, date=date, author=author, reason=reason)
 
 
+def carry_over(old: xr.Dataset, new: xr.Dataset) -> xr.Dataset:
+    """Return new samples with the log of the old ones that they replace.
+
+    Samples are found again by their directions (`analysis.sample_matching`), channels by name. Rejections
+    that were taken back stay in the log, with those of their samples that are found.
+
+    Parameters
+    ----------
+    old : xarray.Dataset
+        The samples that a person looked at.
+    new : xarray.Dataset
+        The samples that take their place. Where they have a log too, one log must continue the other.
+
+    Returns
+    -------
+    xarray.Dataset
+        `new` itself where `old` has no log, or none that `new` has not.
+
+    Raises
+    ------
+    Refused
+        If a rejection stands and the number of samples has changed, one of its samples is not found again or
+        cannot be told from one that is not rejected, or one of its channels is not there; or if both have
+        logs of their own.
+    BadInput
+        If a log is damaged.
+    """
+    from analysis.sample_matching import match_channels, match_samples
+
+    log, own = log_of(old), log_of(new)
+    if not log:
+        return new
+    active = {entry.number for entry in standing(old)}
+    before, after = (table.sizes["sample"] for table in (old, new))
+    if active and before != after:
+        raise Refused(f"{before} samples became {after}, which ones are rejected is not known")
+    found, channels = match_samples(old, new), match_channels(old, new)
+    texts = []
+    for entry, text in zip(log, old[LOG].to_numpy(), strict=True):
+        fields = json.loads(str(text))
+        if entry.action == "reject":
+            names = _moved(entry, found, channels, stands=entry.number in active)
+            fields |= dict(zip(("samples", "channels"), names, strict=True))
+        texts.append(json.dumps(fields, ensure_ascii=False))
+    if own:
+        ours = [str(text) for text in new[LOG].to_numpy()]
+        common = min(len(ours), len(texts))
+        if ours[:common] != texts[:common]:
+            raise Refused("both the earlier samples and the new ones have a log of rejections")
+        return new if len(ours) >= len(texts) else _with_log(new, texts)
+    carried = _with_log(new, texts)
+    # Files joined into one lose their logs, but not their flags.
+    flags = carried["flags"].to_numpy() | (new["flags"].to_numpy() & REJECTED)
+    return carried.assign(flags=carried["flags"].copy(data=flags))
+
+
 def require_store(path: Path) -> Path:
     """Return the NetCDF file where rejections can be kept.
 
@@ -205,15 +263,17 @@ def require_store(path: Path) -> Path:
 
 
 def spans(numbers: Indices) -> str:
-    """Write sorted numbers as spans: 3,10-20."""
+    """Write sorted numbers as spans: 3,10-20; none as an empty text."""
+    if not numbers.size:
+        return ""
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     parts = np.split(numbers, breaks)
     return ",".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
 
 
 def _numbers(word: str) -> Indices:
-    parts = []
-    for span in word.split(","):
+    parts = [np.empty(0, dtype=np.intp)]
+    for span in word.split(",") if word else ():
         first, _, last = span.partition("-")
         parts.append(np.arange(int(first), int(last or first) + 1, dtype=np.intp))
     return np.concatenate(parts)
@@ -247,6 +307,11 @@ def _appended(
         **fields,
     }
     texts.append(json.dumps(entry, ensure_ascii=False))
+    return _with_log(samples, texts)
+
+
+def _with_log(samples: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
+    """Return the samples with that log, and the flags that it means."""
     logged = samples.drop_vars(LOG, errors="ignore").assign(
         {LOG: ("rejection", np.array(texts, dtype=object))}
     )
@@ -254,3 +319,22 @@ def _appended(
     for each in standing(logged):
         flags[np.ix_(_numbers(each.samples), np.array(each.channels))] |= REJECTED
     return logged.assign(flags=(logged["flags"].dims, flags, logged["flags"].attrs))
+
+
+def _moved(
+    entry: Entry, found: Matching, channels: Mapping[int, int], *, stands: bool
+) -> tuple[str, list[int]]:
+    """Return samples and channels of a rejection under the numbers of another table."""
+    numbers, count = _numbers(entry.samples), found.place.size
+    named = np.zeros(count, dtype=bool)
+    named[numbers[numbers < count]] = True
+    there = named & (found.place >= 0)
+    # Samples that cannot be told apart may change places where all of them are rejected.
+    doubtful = np.isin(found.group, found.group[named & ~found.sure]) & ~named
+    whole = there.sum() == numbers.size and channels.keys() >= set(entry.channels)
+    if stands and (doubtful.any() or not whole):
+        raise Refused(
+            f"rejection {entry.number} by {entry.author} names samples or channels that are not found again"
+        )
+    kept = [channels[number] for number in entry.channels if number in channels]
+    return spans(np.sort(found.place[there])), kept

@@ -4,7 +4,8 @@ FILE is anything that gonio reads (docs/formats.md); its content tells the forma
 chooses the format to write. Several files of the same channels, such as one for each incidence, become one.
 Where the format holds samples, the written file is read again and compared with what went in; where it
 wants a grid, the samples are interpolated, and the errors of that are told. Cells of such a grid that no
-sample is near are not invented: the command refuses, unless --fill allows it.
+sample is near are not invented: the command refuses, unless --fill allows it. Rejections of samples in a
+.nc file that is written over are kept; where their samples are not found again, the command refuses.
 
 The JSON object: files, out, format, samples, written, loss: {median_relative, p95_relative, worst_relative,
 where_worst, cells, filled, filled_part, dropped}, doubts
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio.format_options import add_format_options, format_options
 from gonio.output import add_json_option, at_work, caution, print_json
+from gonio.overwriting import add_drop_option, keep_rejections, require_place
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fill", action="store_true", help="allow guesses in cells of a grid that no sample is near"
     )
+    add_drop_option(parser)
     add_format_options(parser)
     add_json_option(parser)
 
@@ -54,6 +57,7 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     _require_other(out, options.files)
     require_writer(out, options.to)  # before the work, not after it
+    require_place(out, options, to=options.to)
     tables = [
         select(
             read(file, **format_options(options)),
@@ -65,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
     ]
     samples, left_behind = join(tables, options.files)
     doubts = caution(" ".join(options.files), samples)
+    samples = keep_rejections(samples, out, options)
     with at_work(f"writing {out}"):
         done = convert(samples, out, to=options.to, fill=options.fill)
     result = {

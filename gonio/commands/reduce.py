@@ -2,7 +2,8 @@
 
 A session is the folder that `gonio capture` made: ratio to its white, geometry of every pixel. Each pose's
 frames are merged; blocks of pixels become samples; samples.nc is written into the session, replacing an
-earlier one.
+earlier one. Rejections of samples (gonio check --reject) in the file that is replaced are kept; where their
+samples are not found again, nothing is written.
 
 With --recipe, the raw files of one sample are reduced by named steps: NAME is a recipe that ships, or a TOML
 file of your own (docs/recipes.md lists the steps). Several files are repeats of the sample: where the recipe
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.output import Progress, add_json_option, print_json, say
+from gonio.overwriting import add_drop_option, keep_rejections, require_place
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write there, in the format of its suffix (default: samples.nc in the session)",
     )
+    add_drop_option(parser)
     add_json_option(parser)
 
 
@@ -101,17 +104,19 @@ def _by_recipe(options: argparse.Namespace) -> int:
 
     out = Path(options.out)
     require_writer(out)  # before the work, not after it
+    require_place(out, options)
     recipe = load(options.recipe)
     reduced = reduce_files(options.inputs, recipe, blank=options.blank, material=options.material)
-    loss = write(reduced.samples, out)
-    flagged = int((reduced.samples["flags"].to_numpy() != 0).sum())
+    samples = keep_rejections(reduced.samples, out, options)
+    loss = write(samples, out)
+    flagged = int((samples["flags"].to_numpy() != 0).sum())
     result = {
         "files": options.inputs,
         "blank": options.blank,
         "recipe": recipe.title,
         "steps": list(recipe.history()),
         "out": str(out),
-        "samples": int(reduced.samples.sizes["sample"]),
+        "samples": int(samples.sizes["sample"]),
         "flagged": flagged,
         "repeatability": _described(reduced.repeatability),
         "notes": list(reduced.notes),
@@ -182,9 +187,11 @@ def _session(options: argparse.Namespace) -> int:
     out = Path(options.out) if options.out else Path(given) / "samples.nc"
     with Session.open(Path(given)) as session:
         require_writer(out)  # before the work, not after it
+        require_place(out, options)
         _require_bins(bin_px, session.rig)
         progress = Progress("poses", len(session.poses("sample")))
         samples = reduce_session(session, options=chosen, progress=progress)
+    samples = keep_rejections(samples, out, options)
     write(samples, out)
     counts = {
         group: {

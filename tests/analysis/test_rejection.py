@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 
 from analysis.fit import fit
-from analysis.rejection import REJECTED, chosen, log_of, reject, require_store, restore, spans, standing
+from analysis.rejection import (
+    LOG,
+    REJECTED,
+    carry_over,
+    chosen,
+    log_of,
+    reject,
+    require_store,
+    restore,
+    spans,
+    standing,
+)
 from analysis.samples import make_samples, read, write
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput, Refused
@@ -108,3 +119,93 @@ def test_other_formats_are_refused(samples, tmp_path):
 def test_spans():
     """Catches numbers that the log loses."""
     assert spans(np.array([0, 1, 2, 5, 7, 8])) == "0-2,5,7-8"
+
+
+def _rejected(samples):
+    """Return the numbers of rejected samples."""
+    return set(np.flatnonzero((samples["flags"].to_numpy() & REJECTED).any(axis=1)).tolist())
+
+
+def test_carried_over_in_any_order_of_samples_and_channels(samples):
+    """Catches numbers that mean other samples or channels, and a log that forgets what was taken back."""
+    old = reject(samples, np.array([3, 7, 8]), selection="3,7-8", **WHO)
+    old = reject(old, np.array([8, 20]), channels=[1], **WHO)
+    old = restore(old, 1, **WHO)
+    order = np.random.default_rng(1).permutation(40)
+    new = samples.isel(sample=order, channel=[1, 0])
+    new = new.assign(wi=new["wi"] + 5e-10, f_r=2.0 * new["f_r"])
+    carried = carry_over(old, new)
+    assert {order[number] for number in _rejected(carried)} == {8, 20}
+    assert not np.any(carried["flags"].to_numpy()[:, 1] & REJECTED)
+    assert carried.drop_vars([LOG, "flags"]).identical(new.drop_vars("flags"))
+    np.testing.assert_array_equal(carried["flags"] & ~REJECTED, new["flags"])
+    assert carried["flags"].attrs == new["flags"].attrs
+    log = log_of(carried)
+    assert [entry.number for entry in standing(carried)] == [2]
+    assert [(entry.action, entry.author, entry.reason) for entry in log] == [
+        (entry.action, entry.author, entry.reason) for entry in log_of(old)
+    ]
+    assert log[0].samples == spans(np.sort(np.argsort(order)[[3, 7, 8]]))
+    assert (log[0].selection, log[1].channels) == ("3,7-8", (0,))
+    assert carry_over(carried, old).identical(old)
+    assert carry_over(samples, new) is new
+
+
+def test_not_carried_over(samples):
+    """Catches rejections that land on other samples, or vanish, where the new table is another one."""
+    old = reject(samples, np.array([3]), channels=[1], **WHO)
+    turned = samples.copy(deep=True)
+    turned["wo"][3] = turned["wo"].to_numpy()[3] * [1.0, -1.0, 1.0]
+    for new, why in (
+        (samples.isel(sample=slice(39)), "40 samples became 39"),
+        (turned, "rejection 1 by Ada"),
+        (samples.isel(channel=[0]), "rejection 1 by Ada"),
+        (reject(samples, np.array([4]), **WHO), "both"),
+    ):
+        with pytest.raises(Refused, match=why):
+            carry_over(old, new)
+    freed = restore(old, 1, **WHO)
+    assert [entry.samples for entry in log_of(carry_over(freed, turned))] == ["", ""]
+    assert not _rejected(carry_over(freed, turned))
+    assert [entry.action for entry in log_of(carry_over(freed, samples.isel(sample=[0, 3])))] == [
+        "reject",
+        "restore",
+    ]
+    elsewhere = reject(samples, np.array([30]), **WHO)
+    assert _rejected(carry_over(elsewhere, turned)) == {30}
+
+
+def test_one_log_may_continue_the_other(samples):
+    """Catches entries of either file that vanish where both have them."""
+    first = reject(samples, np.array([3]), **WHO)
+    second = reject(first, np.array([5]), **WHO)
+    assert carry_over(first, second) is second
+    assert _rejected(carry_over(second, first)) == {3, 5}
+    bare = second.drop_vars(LOG)
+    assert _rejected(carry_over(first, bare)) == {3, 5}
+
+
+def _repeated(poses):
+    """Return one direction measured four times, and another once."""
+    wi = spherical_to_direction(np.full(5, 0.5), np.pi)
+    wo = spherical_to_direction(np.array([0.2, 0.2, 0.2, 0.2, 0.9]), np.zeros(5))
+    return make_samples(wi, wo, np.array([0.1, 0.4, 0.2, 0.3, 0.5]), pose=poses)
+
+
+def test_samples_that_share_directions():
+    """Catches a rejection that moves to another repeat of its directions."""
+    known, reverse = _repeated(np.arange(5)), np.arange(5)[::-1]
+    changed = known.assign(f_r=1.1 * known["f_r"]).isel(sample=reverse)
+    old = reject(known, np.array([1]), **WHO)
+    assert _rejected(carry_over(old, changed)) == {3}
+    # The same numbers of poses are not needed where directions are enough.
+    alone = reject(known, np.array([4]), **WHO)
+    assert _rejected(carry_over(alone, changed.assign(pose=changed["pose"] + 7))) == {0}
+    # Without a pose only the value tells repeats apart, as long as it is the same.
+    unknown, anonymous = (table.drop_vars("pose") for table in (known, changed))
+    part = reject(unknown, np.array([1, 2]), **WHO)
+    assert _rejected(carry_over(part, unknown.isel(sample=reverse))) == {3, 2}
+    with pytest.raises(Refused, match="not found again"):
+        carry_over(part, anonymous)
+    every = reject(unknown, np.arange(4), **WHO)
+    assert _rejected(carry_over(every, anonymous)) == {1, 2, 3, 4}
