@@ -136,13 +136,13 @@ class TestAgainstMitsuba:
         around = default_housing(rig, 0.2)
         assert around is not None
         scene = Scene(rig, material, frozenset({Event.GLOSSY}), around, lamp_cosine=False)
-        stray = PathLight(vector, scene, first=2, samples_per_pixel=256).estimate(angles, 6)
+        stray = PathLight(vector, scene, first=2, samples_per_pixel=64).estimate(angles, 6)
         frames = Kinematics(rig).frames(angles)
         half_mm = around.half_size_mm
         radius = rig.sample.diameter_mm / 2.0
         disc = Surface([0, 0, 0], [radius, 0, 0], [0, radius, 0], glossy, 2, round_=True)
         solver = ThreePoint(
-            [disc, *housing(half_mm, 0.2, 9)], PointLamp(frames.light_mm, rig.lamp.distance_mm**2)
+            [disc, *housing(half_mm, 0.2, 7)], PointLamp(frames.light_mm, rig.lamp.distance_mm**2)
         )
         orders = solver.camera_radiance(0, CENTRE, unit(frames.camera_mm)[None], 5)[:, 0, 0]
         middle = (slice(44, 52), slice(60, 68))
