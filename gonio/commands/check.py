@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio.format_options import add_format_options, format_options
 from gonio.output import add_json_option, caution, print_json
+from gonio.overwriting import add_drop_option, keep_rejections, require_place
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     rejecting.add_argument("--restore", type=int, metavar="NUMBER", help="which rejection to take back")
     rejecting.add_argument("--reason", metavar="TEXT", default="", help="why, kept in the file")
     rejecting.add_argument("--author", metavar="NAME", help="who (default: your login name)")
+    add_drop_option(parser)
     add_format_options(parser)
     add_json_option(parser)
 
@@ -124,6 +126,8 @@ def _require_sense(options: argparse.Namespace) -> None:
         raise BadInput(f"needs {missing}", where=given, todo="name the reading, and the file to write")
     if options.reading and len(options.files) > 1:
         raise BadInput("takes one file", where="--reading", todo="name one")
+    if options.drop_rejections and not options.out:
+        raise BadInput("means nothing without --out", where="--drop-rejections", todo="leave it out")
 
 
 def _read(file: str, options: argparse.Namespace) -> xr.Dataset:
@@ -174,10 +178,11 @@ def _reread(options: argparse.Namespace) -> int:
     from analysis.doctor_readings import reading_of
     from analysis.samples import write
 
-    reading = reading_of(options.reading)
+    reading, out = reading_of(options.reading), Path(options.out)
+    require_place(out, options)
     samples = reread(declared_table(Path(options.files[0]), format_options(options)), reading)
-    loss = write(samples, options.out)
     left_out = samples.attrs["reading_left_out"]
+    loss = write(keep_rejections(samples, out, options), out)
     if options.json:
         size = samples.sizes["sample"]
         print_json({"out": options.out, "reading": reading.name, "samples": size, "left_out": left_out})

@@ -99,3 +99,20 @@ def test_a_format_without_a_place_for_them(command, tmp_path, capsys):
     assert main(arguments) == 3
     assert "no place" in capsys.readouterr().err
     assert log_of(read(tmp_path / "samples.csv"))
+
+
+def test_a_reading_is_not_written_over_them(tmp_path, monkeypatch, capsys):
+    """Catches a re-reading that writes over decisions about other directions, and an option without sense."""
+    monkeypatch.chdir(tmp_path)
+    write(_samples(), tmp_path / "samples.nc")
+    write(_samples(), tmp_path / "table.csv")
+    reject = ["check", "samples.nc", "--reject", "3", "--reason", "stray light", "--author", "Ada"]
+    assert main(reject) == 0
+    before = (tmp_path / "samples.nc").read_bytes()
+    other = ["check", "table.csv", "--reading", "light-view", "--out", "samples.nc"]
+    assert main(other) == 3
+    assert "--drop-rejections" in capsys.readouterr().err
+    assert (tmp_path / "samples.nc").read_bytes() == before
+    assert main(["check", "table.csv", "--drop-rejections"]) == 2
+    assert main([*other, "--drop-rejections"]) == 0
+    assert log_of(read(tmp_path / "samples.nc")) == []
