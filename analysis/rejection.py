@@ -20,7 +20,7 @@ from rig.angles import direction_to_spherical, wrap
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping, Sequence, Set
     from datetime import datetime
     from pathlib import Path
 
@@ -223,13 +223,7 @@ def carry_over(old: xr.Dataset, new: xr.Dataset) -> xr.Dataset:
     if active and before != after:
         raise Refused(f"{before} samples became {after}, which ones are rejected is not known")
     found, channels = match_samples(old, new), match_channels(old, new)
-    texts = []
-    for entry, text in zip(log, old[LOG].to_numpy(), strict=True):
-        fields = json.loads(str(text))
-        if entry.action == "reject":
-            names = _moved(entry, found, channels, stands=entry.number in active)
-            fields |= dict(zip(("samples", "channels"), names, strict=True))
-        texts.append(json.dumps(fields, ensure_ascii=False))
+    texts = _renumbered(old, found, channels, active)
     if own:
         ours = [str(text) for text in new[LOG].to_numpy()]
         common = min(len(ours), len(texts))
@@ -240,6 +234,33 @@ def carry_over(old: xr.Dataset, new: xr.Dataset) -> xr.Dataset:
     # Files joined into one lose their logs, but not their flags.
     flags = carried["flags"].to_numpy() | (new["flags"].to_numpy() & REJECTED)
     return carried.assign(flags=carried["flags"].copy(data=flags))
+
+
+def narrowed(samples: xr.Dataset, rows: Sequence[int], channels: Sequence[int]) -> xr.Dataset:
+    """Return some samples and channels, and a log that names them by their new numbers.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Samples with or without a log.
+    rows, channels : sequence of int
+        What to keep, each once.
+
+    Returns
+    -------
+    xarray.Dataset
+    """
+    from analysis.sample_matching import Matching
+
+    kept = samples.isel(sample=np.asarray(rows, dtype=np.intp), channel=np.asarray(channels, dtype=np.intp))
+    if LOG not in samples:
+        return kept
+    count = samples.sizes["sample"]
+    place = np.full(count, -1, dtype=np.intp)
+    place[np.asarray(rows, dtype=np.intp)] = np.arange(len(rows))
+    found = Matching(place, np.arange(count), np.ones(count, dtype=bool))
+    renumbered = {old: new for new, old in enumerate(channels)}
+    return _with_log(kept, _renumbered(samples, found, renumbered, frozenset()))
 
 
 def require_store(path: Path) -> Path:
@@ -319,6 +340,20 @@ def _with_log(samples: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
     for each in standing(logged):
         flags[np.ix_(_numbers(each.samples), np.array(each.channels))] |= REJECTED
     return logged.assign(flags=(logged["flags"].dims, flags, logged["flags"].attrs))
+
+
+def _renumbered(
+    samples: xr.Dataset, found: Matching, channels: Mapping[int, int], needed: Set[int]
+) -> list[str]:
+    """Return the log's lines under the numbers of another table; `needed` entries must be found whole."""
+    texts = []
+    for entry, text in zip(log_of(samples), samples[LOG].to_numpy(), strict=True):
+        fields = json.loads(str(text))
+        if entry.action == "reject":
+            names = _moved(entry, found, channels, stands=entry.number in needed)
+            fields |= dict(zip(("samples", "channels"), names, strict=True))
+        texts.append(json.dumps(fields, ensure_ascii=False))
+    return texts
 
 
 def _moved(

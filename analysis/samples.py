@@ -278,8 +278,10 @@ def select(
     BadInput
         If a wavelength is not there, listing those that are, or if nothing remains.
     """
-    if wavelength_nm is not None:
-        samples = samples.isel(channel=_wavelength_indices(samples, wavelength_nm, where))
+    from analysis.rejection import narrowed
+
+    channels = channel_numbers(samples, wavelength_nm, where=where)
+    keep = np.ones(samples.sizes["sample"], dtype=bool)
     if max_theta_deg is not None:
         lowest = np.cos(np.radians(max_theta_deg)) - 1e-12
         keep = np.minimum(samples["wi"].to_numpy()[:, 2], samples["wo"].to_numpy()[:, 2]) >= lowest
@@ -289,8 +291,9 @@ def select(
                 where=where,
                 todo="allow larger angles, 90 at most",
             )
-        samples = samples.isel(sample=np.flatnonzero(keep))
-    return samples
+    if keep.all() and channels == list(range(samples.sizes["channel"])):
+        return samples
+    return narrowed(samples, np.flatnonzero(keep).tolist(), channels)
 
 
 def channel_numbers(

@@ -14,13 +14,14 @@ from analysis.rejection import (
     carry_over,
     chosen,
     log_of,
+    narrowed,
     reject,
     require_store,
     restore,
     spans,
     standing,
 )
-from analysis.samples import make_samples, read, write
+from analysis.samples import make_samples, read, select, write
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput, Refused
 
@@ -209,3 +210,14 @@ def test_samples_that_share_directions():
         carry_over(part, anonymous)
     every = reject(unknown, np.arange(4), **WHO)
     assert _rejected(carry_over(every, anonymous)) == {1, 2, 3, 4}
+
+
+def test_narrowed_samples_keep_the_log_under_their_new_numbers(samples):
+    """Catches a log that names samples which narrowing took away or moved."""
+    rejected = reject(samples, np.array([1, 8, 39]), channels=[1], **WHO)
+    few = select(narrowed(rejected, list(range(5, 40)), [1]), max_theta_deg=60.0)
+    assert few.sizes["channel"] == 1
+    assert [(entry.samples, entry.channels) for entry in log_of(few)] == [("3", (0,))]
+    assert np.flatnonzero(few["flags"].to_numpy()[:, 0] & REJECTED).tolist() == [3]
+    again = reject(few, np.array([0]), **WHO)
+    assert np.flatnonzero(again["flags"].to_numpy()[:, 0] & REJECTED).tolist() == [0, 3]
