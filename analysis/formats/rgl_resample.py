@@ -177,7 +177,9 @@ def _incidences(interpolant: Interpolant) -> Array:
 
 def _side(interpolant: Interpolant) -> int:
     """Choose the size that the samples' density asks for: more nodes would only hold interpolation."""
-    wanted = STEPS_IN_SPACING / interpolant.finest_radius + 1.0
+    # Samples of one place have no spacing, and ask for the finest.
+    finest = max(interpolant.finest_radius, STEPS_IN_SPACING / SIDES[-1])
+    wanted = STEPS_IN_SPACING / finest + 1.0
     return next((side for side in SIDES if side >= wanted), SIDES[-1])
 
 
