@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SCANNED, FEW = 300, 800
-"""Samples that a grid's scan, and the search from its best points, make do with."""
+SCANNED, FOLLOWED, FEW = 200, 400, 800
+"""Samples that a grid's scan, the search from its best points, and that from spread points make do with."""
 SPARSE = 2000
 """Fewer samples than this may be a coarse grid, where each matters: all are scanned.
 
@@ -39,7 +39,8 @@ REWEIGHTED = 3
 RIVAL = 1.5
 """Cost on few samples, as a multiple of the best, up to which a minimum may be the best on all."""
 TOLERANCE = 1e-11
-ROUGH_TOLERANCE = 1e-5
+GRID_TOLERANCE, ROUGH_TOLERANCE = 1e-4, 1e-5
+"""For telling minima apart: those of a grid lie further from one another than those of more shapes."""
 MOST_STEPS = 300
 APART = 1e-3
 """Distance in search coordinates from which on two minima are two."""
@@ -87,7 +88,7 @@ def minimise(problem: Problem, loss: Loss, start: Solution | None = None) -> Sol
     candidates = _candidates(problem, loss)
     rivals = [each for each in candidates if each.cost <= RIVAL * candidates[0].cost]
     if len(rivals) > 1:
-        rivals = _refine(whole, rivals, ROUGH_TOLERANCE)
+        rivals = _refine(whole, rivals, _rough(problem))
     return _refine(whole, rivals[:1], TOLERANCE)[0]
 
 
@@ -129,7 +130,7 @@ def _candidates(problem: Problem, loss: Loss) -> list[Solution]:
         grid = starts.grid(problem, slope)
         tried = _evaluate(_some(problem, loss, SPARSE if count <= SPARSE else SCANNED), grid.points)
         chosen = [tried[i] for i in grid.basins(np.array([each.cost for each in tried]))]
-        return _distinct(_refine(_some(problem, loss, FEW), chosen, ROUGH_TOLERANCE))
+        return _distinct(_refine(_some(problem, loss, FOLLOWED), chosen, _rough(problem)))
     scanned = _some(problem, loss, FEW)
     tried = _apart(problem, _evaluate(scanned, starts.spread(problem, slope)), starts.TRIED)
     tried = _refine(scanned, tried, ROUGH_TOLERANCE, most=FIRST_STEPS)
@@ -149,6 +150,10 @@ def _evaluate(equations: Linearised, points: Array) -> list[Solution]:
         cost = 0.5 * np.einsum("mcn,mcn->m", residual, residual)
         found += [Solution(shapes[i], kd[i], ks[i], float(cost[i])) for i in range(len(shapes))]
     return found
+
+
+def _rough(problem: Problem) -> float:
+    return GRID_TOLERANCE if len(problem.shapes) <= starts.GRID_SHAPES else ROUGH_TOLERANCE
 
 
 def _apart(problem: Problem, solutions: list[Solution], most: int) -> list[Solution]:
