@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SCANNED, FOLLOWED, FEW = 200, 400, 800
-"""Samples that a grid's scan, the search from its best points, and that from spread points make do with."""
+SCANNED, FEW = 200, 800
+"""Samples that a grid's scan, and the search from its best points, make do with."""
 SPARSE = 2000
 """Fewer samples than this may be a coarse grid, where each matters: all are scanned.
 
@@ -130,7 +130,7 @@ def _candidates(problem: Problem, loss: Loss) -> list[Solution]:
         grid = starts.grid(problem, slope)
         tried = _evaluate(_some(problem, loss, SPARSE if count <= SPARSE else SCANNED), grid.points)
         chosen = [tried[i] for i in grid.basins(np.array([each.cost for each in tried]))]
-        return _distinct(_refine(_some(problem, loss, FOLLOWED), chosen, _rough(problem)))
+        return _distinct(_refine(_some(problem, loss, FEW), chosen, _rough(problem)))
     scanned = _some(problem, loss, FEW)
     tried = _apart(problem, _evaluate(scanned, starts.spread(problem, slope)), starts.TRIED)
     tried = _refine(scanned, tried, ROUGH_TOLERANCE, most=FIRST_STEPS)
