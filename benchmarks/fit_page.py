@@ -20,9 +20,10 @@ _SECTION = re.compile(rf"{HEAD}\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
 
 _TEXT = f"""{HEAD}
 
-Written by `python -m benchmarks.fit_page docs numbers.json` from what `gonio bench fit --json` printed. RMS
-is that of ln(1 + f cos(theta_i)); times are processor times on one core; the plain fit is
-`scipy.optimize.least_squares` with a numeric Jacobian from four starts, written in `benchmarks/fit_plain.py`.
+Written by `python -m benchmarks.fit_page docs numbers.json` from what `gonio bench fit --json` printed,
+parts that were run again alone in place of their first rows. RMS is that of ln(1 + f cos(theta_i)); times
+are processor times on one core; the plain fit is `scipy.optimize.least_squares` with a numeric Jacobian
+from four starts, written in `benchmarks/fit_plain.py`.
 
 ![Error against time of fits to 20 materials, beside a plain fit](models/fit.png)
 """
