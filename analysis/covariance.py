@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+LEAST_FREE = 1e-3
+"""Share of a datum's error that its residual must keep to say how large that error is."""
+
 
 @dataclass(frozen=True)
 class Assembled:
@@ -76,7 +79,8 @@ class NormalEquations:
         self.condition = float(np.linalg.cond(normal))
         # Not the inverse: a direction without information must come out large, not fail.
         self._inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
-        self._scores = scaled * goal.weight()[..., None]
+        self._weight = goal.weight()
+        self._scores = scaled * self._weight[..., None]
 
     def covariance(self, own: Array, shared: list[uncertainty.SharedError]) -> Array:
         """Sandwich covariance; infinite where there is no information."""
@@ -86,11 +90,45 @@ class NormalEquations:
         """Covariance for independent residuals of standard deviation 1."""
         return self._full(self._inverse)
 
+    def leverages(self) -> Array:
+        """Return each datum's share in its own fitted value: diag(J (J^T J)^-1 J^T), 0 to 1, shape (N, C)."""
+        found = np.zeros_like(self._weight)
+        for c, weight in enumerate(self._weight.T):
+            scores = self._scores[:, c]
+            square = np.einsum("np,np->n", scores @ self._inverse, scores)
+            np.divide(square, np.square(weight), out=found[:, c], where=weight > 0.0)
+        return found
+
     def _full(self, scaled: Array) -> Array:
         full = np.zeros((len(self._free), len(self._free)))
         full[np.ix_(self._free, self._free)] = scaled / np.outer(self._length, self._length)
         full[~self._free, ~self._free] = np.inf
         return full
+
+
+def residual_sizes(residual: Array, leverages: Array, scatter: Array) -> Array:
+    """Let each residual state the standard deviation of its own error.
+
+    These are the sizes of HC3 (MacKinnon & White 1985, in the form of Davidson & MacKinnon 1993):
+    |r| / (1 - h), the residual that a datum would have from a fit without it. In a sandwich they need not be
+    of one size, nor of a known law: noise may grow with the signal.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N, C)
+        Residuals at the solution.
+    leverages : ndarray, shape (N, C)
+        See `NormalEquations.leverages`.
+    scatter : ndarray, shape (N, C)
+        Standard deviation for data that the fit meets whatever they are: their residuals say nothing.
+
+    Returns
+    -------
+    ndarray, shape (N, C)
+        Standard deviations in the unit of the residuals.
+    """
+    free = 1.0 - leverages
+    return np.where(free > LEAST_FREE, np.abs(residual) / np.maximum(free, LEAST_FREE), scatter)
 
 
 def to_natural(problem: Problem, solution: Solution, derivative: SearchJacobian) -> Array:

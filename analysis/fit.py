@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis import uncertainty
 from analysis.appearance import appearance
-from analysis.covariance import NormalEquations, assemble, derived, transform
+from analysis.covariance import NormalEquations, assemble, derived, residual_sizes, transform
 from analysis.goal import Goal
 from analysis.identifiability import (
     Caution,
@@ -29,7 +29,7 @@ from analysis.instrument import Seen, Spread, instrument_of
 from analysis.layout import layout_of
 from analysis.metrics import goodness
 from analysis.models import MODELS
-from analysis.observations import Observations, check_enough, observe
+from analysis.observations import check_enough, observe
 from analysis.plausibility import require_plausible
 from analysis.samples import select
 from analysis.state import Block, State
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from analysis.layout import Layout
+    from analysis.losses import Loss
     from analysis.models.base import Model
 
 Array = NDArray[np.float64]
@@ -138,8 +139,9 @@ def fit(
     Samples with a flag, without a value, or below the horizon are not used; values at or below zero are.
     Where samples carry uncertainties, the weights take what is independent from sample to sample, the white's
     noise, and the pose's uncertainty through the gradient of a first fit; the covariance counts every error
-    as shared by all whom it moves. Without uncertainties it comes from the scatter of the residuals, taken as
-    independent, and so tells nothing of a model that does not describe the surface.
+    as shared by all whom it moves. Without uncertainties each residual states the size of its own error (see
+    `analysis.covariance.residual_sizes`), so that noise may differ from sample to sample; errors are taken as
+    independent, and u tells nothing of a model that does not describe the surface.
 
     Parameters
     ----------
@@ -225,10 +227,10 @@ def _result(goal: Goal, blocks: tuple[Block, ...], poses: list[uncertainty.Share
     lobes = [caution for block in blocks for caution in about_the_lobe(block, goal.labels(block))]
     narrow = {(name, c.channel) for c in lobes if c.kind is Kind.NARROW_LOBE for name in c.parameters}
     undetermined = on_bound | np.array([name in narrow for name in layout.names])
-    own = data.used * _own_uncertainty(data, blocks)
     shared = [*uncertainty.shared_in_f(data.samples), *poses] if data.stated else []
     normal = NormalEquations(whole, loss, undetermined)
-    search = normal.covariance(own, shared)
+    own = uncertainty.independent(data.samples) if data.stated else _scatter(loss, blocks, whole.f, normal)
+    search = normal.covariance(data.used * own, shared)
     covariance = transform(whole.natural, search)
     u_flat = np.sqrt(np.diag(covariance))
     plain = np.sqrt(np.diag(transform(whole.natural, normal.inverse())))
@@ -279,15 +281,15 @@ def _on_bound(block: Block) -> NDArray[np.bool_]:
     return np.asarray((shapes - low < near) | (high - shapes < near))
 
 
-def _own_uncertainty(data: Observations, blocks: tuple[Block, ...]) -> Array:
-    """Independent uncertainty of the data (N, C): stated, or what the scatter of the residuals says it is."""
-    if data.stated:
-        return uncertainty.independent(data.samples)
-    own = np.zeros_like(data.f_r)
+def _scatter(loss: Loss, blocks: tuple[Block, ...], f: Array, normal: NormalEquations) -> Array:
+    """Uncertainty (N, C) in 1/sr from residuals: its own, or in a robust fit those of like brightness."""
+    scatter = np.empty_like(f)
     for block in blocks:
-        slope = block.loss.reweighted(None).weight()
-        own[:, list(block.channels)] = block.residual_scatter() / np.where(slope > 0.0, slope, np.inf)
-    return own
+        scatter[:, list(block.channels)] = block.residual_scatter()
+    robust = any(block.scatter is not None for block in blocks)
+    sizes = scatter if robust else residual_sizes(loss.residual(f), normal.leverages(), scatter)
+    slope = loss.reweighted(None).weight()
+    return sizes / np.where(slope > 0.0, slope, np.inf)
 
 
 def _ratio(whole: Array, part: Array) -> Array:
