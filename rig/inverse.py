@@ -12,7 +12,7 @@ from rig.angles import FloatArray, direction_to_spherical, wrap
 from rig.errors import Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from rig.description import Joint
     from rig.kinematics import Kinematics
@@ -61,7 +61,7 @@ def solve(kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArr
     if common is None:
         return _search(kinematics, wi, wo, near, where)
     ways = common.branches(wi, wo, near, kinematics.limits_rad)
-    branches = [_into_limits(kinematics, angles, near) for angles in ways]
+    branches = _into_limits(kinematics, list(ways), near)
     return _best(kinematics, branches, near, where)
 
 
@@ -135,22 +135,28 @@ class _CommonMachine(NamedTuple):
                 yield angles
 
 
-def _into_limits(kinematics: Kinematics, angles: FloatArray, near: FloatArray) -> _Branch:
+def _into_limits(
+    kinematics: Kinematics, ways: Sequence[FloatArray] | FloatArray, near: FloatArray
+) -> list[_Branch]:
     """Choose each joint's whole turns: within the limits and nearest to where it is, else least beyond."""
-    chosen = np.empty_like(angles)
-    beyond = np.empty_like(angles)
-    for place, (low, high) in enumerate(kinematics.limits_rad):
-        first, last = math.floor(low / (2.0 * math.pi)), math.ceil(high / (2.0 * math.pi))
-        options = wrap(angles[place]) + 2.0 * math.pi * np.arange(first, last + 1)
-        outside = np.maximum(np.maximum(low - options, options - high), 0.0)
-        # Less than half a tick outside, the servo's nearest position is the limit itself.
-        slack = kinematics.ticks_rad[place] / 2.0
-        excess = np.where(outside < slack, 0.0, outside)
-        pick = np.lexsort((np.abs(options - near[place]), outside, excess))[0]
-        beyond[place] = excess[pick]
-        chosen[place] = options[pick] if excess[pick] else np.clip(options[pick], low, high)
-    worst = int(np.argmax(beyond))
-    return _Branch(chosen, float(beyond[worst]), worst)
+    angles = np.reshape(np.asarray(ways, dtype=np.float64), (-1, near.size))
+    low, high = kinematics.limits_rad.T[:, None, :, None]
+    turns = np.arange(math.floor(low.min() / math.tau), math.ceil(high.max() / math.tau) + 1)
+    options = wrap(angles)[..., None] + math.tau * turns
+    outside = np.maximum(np.maximum(low - options, options - high), 0.0)
+    # Less than half a tick outside, the servo's nearest position is the limit itself.
+    slack = kinematics.ticks_rad[:, None] / 2.0
+    excess = np.where(outside < slack, 0.0, outside)
+    pick = np.lexsort((np.abs(options - near[:, None]), outside, excess))[..., :1]
+    beyond = np.take_along_axis(excess, pick, axis=-1)
+    best = np.take_along_axis(options, pick, axis=-1)
+    chosen = np.where(beyond > 0.0, best, np.clip(best, low, high))[..., 0]
+    beyond = beyond[..., 0]
+    worst = np.argmax(beyond, axis=-1)
+    return [
+        _Branch(row, float(excesses[joint]), int(joint))
+        for row, excesses, joint in zip(chosen, beyond, worst, strict=True)
+    ]
 
 
 def _best(kinematics: Kinematics, branches: list[_Branch], near: FloatArray, where: str) -> FloatArray:
@@ -176,11 +182,11 @@ def _search(
     random = np.random.default_rng(0).uniform(low, high, size=(_RANDOM_STARTS, low.size))
     starts = np.vstack([near, kinematics.park_rad, np.zeros(low.size), random])
     ends, misses = _descend(kinematics, starts, wi, wo, bounded=False)
-    branches = [_into_limits(kinematics, angles, near) for angles in ends[misses < _MET_RAD]]
+    branches = _into_limits(kinematics, ends[misses < _MET_RAD], near)
     if not any(branch.beyond_rad == 0.0 for branch in branches):
         # Joints to spare: the pose may be met by others where one is held at its limit.
         held, held_misses = _descend(kinematics, np.clip(starts, low, high), wi, wo, bounded=True)
-        branches += [_into_limits(kinematics, angles, near) for angles in held[held_misses < _MET_RAD]]
+        branches += _into_limits(kinematics, held[held_misses < _MET_RAD], near)
     if not branches:
         raise Refused(
             f"no joint angles reach it, the nearest miss is {math.degrees(float(misses.min())):.2f} deg",
