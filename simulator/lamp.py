@@ -139,14 +139,14 @@ class Lamp:
         self._queries: dict[str, Callable[[float], str]] = {
             "*IDN?": lambda _now: f"gonio,lamp,{self._serial},{FIRMWARE}",
             "OUTP?": lambda _now: str(int(self._output)),
-            "SOUR:LEV?": lambda _now: f"{self._level:.9g}",
+            "SOUR:LEV?": lambda _now: _decimal(self._level),
             "SHUT:MODE?": lambda _now: self._mode.value,
-            "SHUT:OPEN?": lambda _now: f"{self._open_s:.9g}",
+            "SHUT:OPEN?": lambda _now: _decimal(self._open_s),
             "SHUT?": lambda _now: f"{'BUSY' if self._running else 'IDLE'},{self._completed},{self._last_id}",
-            "MEAS:MON?": lambda now: f"{self._monitored(now):.6g}",
+            "MEAS:MON?": lambda now: _decimal(self._monitored(now)),
             "MEAS:TEMP?": lambda _now: f"{HEAD_TEMPERATURE_DEG_C:.1f}",
             "INTL?": lambda _now: str(int(self._interlock_closed)),
-            "SYST:WDOG?": lambda _now: f"{self._watchdog_s:.9g}",
+            "SYST:WDOG?": lambda _now: _decimal(self._watchdog_s),
             "SYST:ERR?": lambda _now: (self._errors.popleft() if self._errors else LampError.NONE).value,
             "SYST:UPT?": lambda now: f"{now - self._power_up:.3f}",
         }
@@ -425,6 +425,12 @@ def _summary(exposure: Exposure) -> dict[str, object]:
 def _no_argument(argument: str) -> None:
     if argument:
         raise _Refusal(LampError.RANGE)
+
+
+def _decimal(value: float) -> str:
+    """Write a number without an exponent, which small controllers do not write either."""
+    text = f"{value:.9f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _number(argument: str, bounds: tuple[float, float]) -> float:

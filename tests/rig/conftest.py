@@ -7,14 +7,15 @@ import select
 import threading
 import time
 import tty
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from simulator.lamp import Lamp as LampFirmware
+from simulator.lamp import Lamp as TwinLamp
 from simulator.servo import Servo
 from simulator.servo_line import ServoLine
 from simulator.twin import Twin
+from tests.rig.lamp_firmware import FirmwareLamp
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -77,20 +78,24 @@ class ServoBench(Bench):
 
 
 class LampBench(Bench):
-    """The lamp controller's firmware."""
+    """The lamp controller: the twin's, or the compiled firmware."""
 
-    def __init__(self, speed: float = 1.0) -> None:
+    def __init__(self, speed: float = 1.0, *, firmware: bool = False) -> None:
         self.events: list[tuple[str, float, dict[str, object]]] = []
-        self.firmware = LampFirmware(
-            time.monotonic(),
-            speed=speed,
-            on_event=lambda event, now, details: self.events.append((event, now, details)),
-            on_exposure=lambda _exposure, _now: None,
-        )
+        self._power_up = time.monotonic()
+        hooks: Any = {
+            "on_event": lambda event, now, details: self.events.append((event, now, details)),
+            "on_exposure": lambda _exposure, _now: None,
+        }
+        self.controller: Any = FirmwareLamp(**hooks) if firmware else TwinLamp(0.0, speed=speed, **hooks)
         super().__init__()
 
     def answer(self, data: bytes) -> bytes:
-        return self.firmware.handle(data, time.monotonic())
+        return bytes(self.controller.handle(data, self.now()))
+
+    def now(self) -> float:
+        """Seconds since power-up."""
+        return time.monotonic() - self._power_up
 
     @property
     def lines(self) -> list[str]:
@@ -128,6 +133,8 @@ def lamp_bench() -> Iterator[Callable[..., LampBench]]:
     yield make
     for bench in benches:
         bench.unplug()
+        if isinstance(bench.controller, FirmwareLamp):
+            bench.controller.close()
 
 
 @pytest.fixture

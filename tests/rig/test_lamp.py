@@ -112,7 +112,7 @@ def test_exposures_are_complete_and_named(lamp_bench: Callable[..., Any], mode: 
     """Catches an exposure that returns early, is lit when it should be dark, or keeps the last name."""
     bench = lamp_bench(speed=10.0)
     done: list[Any] = []
-    bench.firmware._on_exposure = lambda exposure, _now: done.append(exposure)
+    bench.controller._on_exposure = lambda exposure, _now: done.append(exposure)
     with Lamp(bench.port, mode=mode, level=0.5) as lamp:
         lamp.set_up()
         for index, dark in enumerate([False, True, False]):
@@ -146,7 +146,7 @@ def test_another_shots_name_is_refused(bench: Any, lamp: Lamp) -> None:
 
 def test_an_open_interlock_is_unsafe(bench: Any, lamp: Lamp) -> None:
     """Catches a run that goes on, in the dark, with the dark room open."""
-    bench.firmware.set_interlock(False, time.monotonic())
+    bench.controller.set_interlock(False, bench.now())
     with pytest.raises(Unsafe, match="interlock"):
         lamp.expose(0.01, "a")
     with pytest.raises(Unsafe, match="interlock"):
@@ -158,7 +158,7 @@ def test_an_interlock_opened_during_an_exposure_is_unsafe(lamp_bench: Callable[.
     bench = lamp_bench(speed=1.0)
     with Lamp(bench.port) as lamp:
         lamp.set_up()
-        threading.Timer(0.1, lambda: bench.firmware.set_interlock(False, time.monotonic())).start()
+        threading.Timer(0.1, lambda: bench.controller.set_interlock(False, bench.now())).start()
         with pytest.raises(Unsafe, match="interlock"):
             lamp.expose(5.0, "a")
 

@@ -1,15 +1,20 @@
-"""The lamp controller's firmware, line by line of its protocol."""
+"""The lamp controller's protocol, line by line, held to by the twin's lamp and by the firmware."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulator.lamp import Exposure, Lamp, ShutterMode
+from tests.rig.lamp_firmware import FirmwareLamp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 NO_ERROR = '0,"No error"'
 HEADER = '-113,"Undefined header"'
@@ -23,17 +28,15 @@ OVERFLOW = '-350,"Queue overflow"'
 class Bench:
     """A controller, a clock, and a record of what happened."""
 
-    def __init__(self, speed: float = 1.0) -> None:
+    def __init__(self, speed: float = 1.0, *, firmware: bool = False) -> None:
         self.now = 0.0
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.frames: list[tuple[float, Exposure]] = []
-        self.lamp = Lamp(
-            0.0,
-            speed=speed,
-            serial="S1",
-            on_event=lambda event, time, details: self.events.append((time, event, details)),
-            on_exposure=lambda exposure, time: self.frames.append((time, exposure)),
-        )
+        hooks: Any = {
+            "on_event": lambda event, time, details: self.events.append((time, event, details)),
+            "on_exposure": lambda exposure, time: self.frames.append((time, exposure)),
+        }
+        self.lamp: Any = FirmwareLamp(**hooks) if firmware else Lamp(0.0, speed=speed, serial="S1", **hooks)
 
     def say(self, *lines: str) -> list[str]:
         """Send lines; the answers."""
@@ -62,10 +65,23 @@ class Bench:
         return [(time, details["on"]) for time, event, details in self.events if event == "light"]
 
 
-@pytest.fixture
-def bench() -> Bench:
+@contextlib.contextmanager
+def switched_on(controller: str) -> Iterator[Bench]:
+    """Give one of the two controllers, with what its end has to say."""
+    bench = Bench(firmware=controller == "firmware")
+    yield bench
+    if isinstance(bench.lamp, FirmwareLamp):
+        bench.lamp.close()
+
+
+CONTROLLERS = ("twin", "firmware")
+
+
+@pytest.fixture(params=CONTROLLERS)
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     """Return a controller that has just been switched on."""
-    return Bench()
+    with switched_on(request.param) as bench:
+        yield bench
 
 
 def test_queries_answer_one_line_and_commands_none(bench: Bench) -> None:
@@ -283,7 +299,6 @@ def test_watchdog_zero_disarms(bench: Bench) -> None:
     bench.say("SYST:WDOG 0.5", "OUTP ON", "SYST:WDOG 0")
     bench.wait(100.0)
     assert bench.ask("OUTP?") == "1"
-    assert bench.lamp.deadline() is None
 
 
 def test_an_open_interlock_forces_the_light_off(bench: Bench) -> None:
@@ -336,11 +351,79 @@ def test_speed_shortens_exposures_only() -> None:
     assert exposure.exposure_s == 2.0
 
 
-@given(st.lists(st.binary(max_size=30), max_size=30))
-def test_noise_never_lights_the_lamp(chunks: list[bytes]) -> None:
+@pytest.mark.parametrize("controller", CONTROLLERS)
+@given(chunks=st.lists(st.binary(max_size=30), max_size=30))
+@settings(max_examples=50, deadline=None)
+def test_noise_never_lights_the_lamp(controller: str, chunks: list[bytes]) -> None:
     """Catches a parser that dies of noise or takes it for a command."""
-    bench = Bench()
-    for chunk in chunks:
-        bench.lamp.handle(chunk, 0.0)
-    bench.lamp.handle(b"\n", 0.0)
-    assert bench.ask("OUTP?") == "0"
+    with switched_on(controller) as bench:
+        for chunk in chunks:
+            bench.lamp.handle(chunk, 0.0)
+        bench.lamp.handle(b"\n", 0.0)
+        assert bench.ask("OUTP?") == "0"
+
+
+TIMES = st.sampled_from([0.0, 0.001, 0.05, 0.1, 0.3, 1.0, 2.5])
+NUMBERS = st.one_of(
+    st.sampled_from(
+        ["0", "1", "0.5", ".25", "5e-1", "+2", "-1", "nan", "1e999", "1E-5", "600", "61", "x", ""]
+    ),
+    st.decimals(0, 3, places=3).map(str),
+)
+NUMBERED = ("SOUR:LEV", "SHUT:OPEN", "SHUT:EXP", "SHUT:DARK", "SYST:WDOG")
+PLAIN = (
+    "*RST", "OUTP ON", "OUTP OFF", "outp on", "SHUT:MODE BULB", "SHUT:MODE WIDTH", "SHUT:MODE LAMP",
+    "SHUT:ID a-1", "SHUT:ID b c", "SHUT:ABOR", "FOO", "OUTP", "  shut:abor\t", "OUTP  ON", "*RST 1",
+)  # fmt: skip
+ASKED = (
+    "OUTP?",
+    "SOUR:LEV?",
+    "SHUT:MODE?",
+    "SHUT:OPEN?",
+    "SHUT?",
+    "INTL?",
+    "SYST:WDOG?",
+    "SYST:ERR?",
+    "SYST:UPT?",
+)
+STEPS = st.one_of(
+    st.sampled_from(PLAIN),
+    st.tuples(st.sampled_from(NUMBERED), NUMBERS).map(" ".join),
+    st.booleans(),
+)
+
+
+@given(steps=st.lists(st.tuples(TIMES, STEPS), max_size=25))
+@settings(max_examples=100, deadline=None)
+def test_twin_and_firmware_do_the_same(steps: list[tuple[float, str | bool]]) -> None:
+    """Catches any order of commands, pauses and doors after which the firmware is not what the twin plays."""
+    with switched_on("twin") as twin, switched_on("firmware") as firmware:
+        for pause, step in steps:
+            for bench in (twin, firmware):
+                bench.wait(pause)
+                if isinstance(step, bool):
+                    bench.lamp.set_interlock(step, bench.now)
+                else:
+                    assert bench.say(step) == []
+            assert firmware.say(*ASKED) == twin.say(*ASKED)
+        shots = [
+            [(frame.shot, frame.shot_id, frame.lit, frame.mode) for _, frame in b.frames]
+            for b in (twin, firmware)
+        ]
+        assert shots[0] == shots[1]
+        lights = [[on for _, on in bench.light()] for bench in (twin, firmware)]
+        assert lights[0] == lights[1]
+        times = [[time for time, _ in bench.light()] for bench in (twin, firmware)]
+        assert times[0] == pytest.approx(times[1], abs=1e-5)
+
+
+def test_the_firmware_reads_its_photodiode() -> None:
+    """Catches a monitor that repeats the level: a lamp that ages would look as new."""
+    with switched_on("firmware") as bench:
+        bench.lamp.dim(0.8)
+        bench.say("OUTP ON", "SHUT:EXP 1")
+        bench.wait(1.1)
+        assert float(bench.ask("MEAS:MON?")) == pytest.approx(0.8)
+        bench.say("OUTP OFF", "SHUT:MODE LAMP", "SHUT:EXP 0.0001")
+        bench.wait(1.1)
+        assert bench.ask("MEAS:MON?") == "nan"  # too short for a reading
