@@ -20,13 +20,11 @@ from rig.angles import direction_to_spherical, wrap
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence, Set
+    from collections.abc import Mapping, Sequence
     from datetime import datetime
     from pathlib import Path
 
     import xarray as xr
-
-    from analysis.sample_matching import Matching
 
 Indices = NDArray[np.intp]
 
@@ -106,7 +104,7 @@ def chosen(samples: xr.Dataset, selection: Sequence[str], found: Mapping[str, In
     if words in found:
         numbers = np.unique(found[words])
     elif all(_NUMBERS.match(word) for word in selection):
-        numbers = np.unique(np.concatenate([_numbers(word) for word in selection]))
+        numbers = np.unique(np.concatenate([numbers_of(word) for word in selection]))
     elif all(_RANGE.match(word) for word in selection):
         numbers = np.flatnonzero(_in_ranges(samples, selection))
     else:
@@ -186,83 +184,6 @@ def restore(samples: xr.Dataset, number: int, *, reason: str, author: str, date:
     return _appended(samples, "restore", {"of": number}, date=date, author=author, reason=reason)
 
 
-def carry_over(old: xr.Dataset, new: xr.Dataset) -> xr.Dataset:
-    """Return new samples with the log of the old ones that they replace.
-
-    Samples are found again by their directions (`analysis.sample_matching`), channels by name. Rejections
-    that were taken back stay in the log, with those of their samples that are found.
-
-    Parameters
-    ----------
-    old : xarray.Dataset
-        The samples that a person looked at.
-    new : xarray.Dataset
-        The samples that take their place. Where they have a log too, one log must continue the other.
-
-    Returns
-    -------
-    xarray.Dataset
-        `new` itself where `old` has no log, or none that `new` has not.
-
-    Raises
-    ------
-    Refused
-        If a rejection stands and the number of samples has changed, one of its samples is not found again or
-        cannot be told from one that is not rejected, or one of its channels is not there; or if both have
-        logs of their own.
-    BadInput
-        If a log is damaged.
-    """
-    from analysis.sample_matching import match_channels, match_samples
-
-    log, own = log_of(old), log_of(new)
-    if not log:
-        return new
-    active = {entry.number for entry in standing(old)}
-    before, after = (table.sizes["sample"] for table in (old, new))
-    if active and before != after:
-        raise Refused(f"{before} samples became {after}, which ones are rejected is not known")
-    found, channels = match_samples(old, new), match_channels(old, new)
-    texts = _renumbered(old, found, channels, active)
-    if own:
-        ours = [str(text) for text in new[LOG].to_numpy()]
-        common = min(len(ours), len(texts))
-        if ours[:common] != texts[:common]:
-            raise Refused("both the earlier samples and the new ones have a log of rejections")
-        return new if len(ours) >= len(texts) else _with_log(new, texts)
-    carried = _with_log(new, texts)
-    # Files joined into one lose their logs, but not their flags.
-    flags = carried["flags"].to_numpy() | (new["flags"].to_numpy() & REJECTED)
-    return carried.assign(flags=carried["flags"].copy(data=flags))
-
-
-def narrowed(samples: xr.Dataset, rows: Sequence[int], channels: Sequence[int]) -> xr.Dataset:
-    """Return some samples and channels, and a log that names them by their new numbers.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        Samples with or without a log.
-    rows, channels : sequence of int
-        What to keep, each once.
-
-    Returns
-    -------
-    xarray.Dataset
-    """
-    from analysis.sample_matching import Matching
-
-    kept = samples.isel(sample=np.asarray(rows, dtype=np.intp), channel=np.asarray(channels, dtype=np.intp))
-    if LOG not in samples:
-        return kept
-    count = samples.sizes["sample"]
-    place = np.full(count, -1, dtype=np.intp)
-    place[np.asarray(rows, dtype=np.intp)] = np.arange(len(rows))
-    found = Matching(place, np.arange(count), np.ones(count, dtype=bool))
-    renumbered = {old: new for new, old in enumerate(channels)}
-    return _with_log(kept, _renumbered(samples, found, renumbered, frozenset()))
-
-
 def require_store(path: Path) -> Path:
     """Return the NetCDF file where rejections can be kept.
 
@@ -292,7 +213,8 @@ def spans(numbers: Indices) -> str:
     return ",".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
 
 
-def _numbers(word: str) -> Indices:
+def numbers_of(word: str) -> Indices:
+    """Read spans: the opposite of `spans`."""
     parts = [np.empty(0, dtype=np.intp)]
     for span in word.split(",") if word else ():
         first, _, last = span.partition("-")
@@ -328,48 +250,23 @@ def _appended(
         **fields,
     }
     texts.append(json.dumps(entry, ensure_ascii=False))
-    return _with_log(samples, texts)
+    return with_log(samples, texts)
 
 
-def _with_log(samples: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
-    """Return the samples with that log, and the flags that it means."""
+def with_log(samples: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
+    """Return the samples with that log in place of any other, and the flags that it means.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        The samples.
+    texts : sequence of str
+        JSON texts of the entries, oldest first.
+    """
     logged = samples.drop_vars(LOG, errors="ignore").assign(
         {LOG: ("rejection", np.array(texts, dtype=object))}
     )
     flags = logged["flags"].to_numpy() & ~REJECTED
     for each in standing(logged):
-        flags[np.ix_(_numbers(each.samples), np.array(each.channels))] |= REJECTED
+        flags[np.ix_(numbers_of(each.samples), np.array(each.channels))] |= REJECTED
     return logged.assign(flags=(logged["flags"].dims, flags, logged["flags"].attrs))
-
-
-def _renumbered(
-    samples: xr.Dataset, found: Matching, channels: Mapping[int, int], needed: Set[int]
-) -> list[str]:
-    """Return the log's lines under the numbers of another table; `needed` entries must be found whole."""
-    texts = []
-    for entry, text in zip(log_of(samples), samples[LOG].to_numpy(), strict=True):
-        fields = json.loads(str(text))
-        if entry.action == "reject":
-            names = _moved(entry, found, channels, stands=entry.number in needed)
-            fields |= dict(zip(("samples", "channels"), names, strict=True))
-        texts.append(json.dumps(fields, ensure_ascii=False))
-    return texts
-
-
-def _moved(
-    entry: Entry, found: Matching, channels: Mapping[int, int], *, stands: bool
-) -> tuple[str, list[int]]:
-    """Return samples and channels of a rejection under the numbers of another table."""
-    numbers, count = _numbers(entry.samples), found.place.size
-    named = np.zeros(count, dtype=bool)
-    named[numbers[numbers < count]] = True
-    there = named & (found.place >= 0)
-    # Samples that cannot be told apart may change places where all of them are rejected.
-    doubtful = np.isin(found.group, found.group[named & ~found.sure]) & ~named
-    whole = there.sum() == numbers.size and channels.keys() >= set(entry.channels)
-    if stands and (doubtful.any() or not whole):
-        raise Refused(
-            f"rejection {entry.number} by {entry.author} names samples or channels that are not found again"
-        )
-    kept = [channels[number] for number in entry.channels if number in channels]
-    return spans(np.sort(found.place[there])), kept

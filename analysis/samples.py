@@ -278,7 +278,7 @@ def select(
     BadInput
         If a wavelength is not there, listing those that are, or if nothing remains.
     """
-    from analysis.rejection import narrowed
+    from analysis.rejection_transfer import narrowed
 
     channels = channel_numbers(samples, wavelength_nm, where=where)
     keep = np.ones(samples.sizes["sample"], dtype=bool)

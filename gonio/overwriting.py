@@ -63,7 +63,7 @@ def keep_rejections(samples: xr.Dataset, out: Path, options: argparse.Namespace)
     earlier = _earlier(out, options)
     if earlier is None:
         return samples
-    from analysis.rejection import carry_over
+    from analysis.rejection_transfer import carry_over
 
     try:
         kept = carry_over(earlier, samples)

@@ -11,16 +11,15 @@ from analysis.fit import fit
 from analysis.rejection import (
     LOG,
     REJECTED,
-    carry_over,
     chosen,
     log_of,
-    narrowed,
     reject,
     require_store,
     restore,
     spans,
     standing,
 )
+from analysis.rejection_transfer import carry_over, narrowed
 from analysis.samples import make_samples, read, select, write
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput, Refused
