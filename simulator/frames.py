@@ -87,13 +87,15 @@ class FrameMaker:
         write_truth(rig.folder, seed, self.white_rho, self.renderer.materials)
         self.renderer.prewarm()
 
-    def make(self, request: FrameRequest) -> Path:
+    def make(self, request: FrameRequest, *, hidden: bool = False) -> Path:
         """Make the file of one exposure.
 
         Parameters
         ----------
         request : FrameRequest
             The exposure. Equal requests give equal files, but for the name.
+        hidden : bool
+            Whether its name begins with a dot: nobody takes it for a picture yet.
 
         Returns
         -------
@@ -109,7 +111,7 @@ class FrameMaker:
         radiance = None
         if request.lit:
             station = request.station or self._mounted
-            radiance = self.renderer.radiance(station, request.angles_rad, request.level)
+            radiance = self.renderer.radiance(station, request.angles_rad, request.level * request.output)
         counts = self.sensor.expose(
             radiance,
             request.exposure_s,
@@ -117,6 +119,7 @@ class FrameMaker:
             shutter_open_s=request.shutter_open_s,
         )
         path = self._new_path(request)
+        path = path.with_name(f".{path.name}") if hidden else path
         write_dng(path, counts, self._meta(request, identity))
         return path
 
@@ -163,7 +166,7 @@ def _identity(request: FrameRequest) -> int:
         request.seed,
         request.station,
         tuple(sorted(request.ticks.items())),
-        float(request.level),
+        float(request.level * request.output),
         float(request.exposure_s),
         float(request.shutter_open_s),
         request.mode,

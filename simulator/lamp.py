@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -74,6 +74,8 @@ class Exposure:
         When the shutter opens and closes, on the wall clock.
     light_begin, light_end : float
         When the lamp is lit in it, on the wall clock; empty if it is not.
+    output : float
+        Light that the lamp gave, over what it gives at that level when nothing is wrong with it.
     """
 
     exposure_s: float
@@ -87,6 +89,7 @@ class Exposure:
     end: float
     light_begin: float
     light_end: float
+    output: float = 1.0
 
 
 class _Refusal(Exception):  # noqa: N818 - not an error of ours: an entry for the queue
@@ -122,20 +125,13 @@ class Lamp:
         on_event: Callable[[str, float, dict[str, object]], None],
         on_exposure: Callable[[Exposure, float], None],
     ) -> None:
-        self._power_up, self._speed, self._serial = now, speed, serial
+        self._speed, self._serial = speed, serial
         self._on_event, self._on_exposure = on_event, on_exposure
-        self._line = bytearray()
-        self._errors: deque[LampError] = deque()
         self._running: Exposure | None = None
         self._light_edges: list[float] = []
-        self._completed, self._last_id, self._next_id = 0, "", ""
-        self._open_s = 1.0
-        self._interlock_closed, self._tripped = True, False
-        self._light = False
-        self._heard = now
-        self._brightness: deque[tuple[float, float]] = deque([(now, 0.0)])
-        self._monitor = math.nan
-        self._output, self._level, self._mode, self._watchdog_s = False, 1.0, ShutterMode.BULB, 0.0
+        self._light, self._interlock_closed = False, True
+        self._ageing = (now, 1.0, now, 1.0)
+        self._power(now)
         self._queries: dict[str, Callable[[float], str]] = {
             "*IDN?": lambda _now: f"gonio,lamp,{self._serial},{FIRMWARE}",
             "OUTP?": lambda _now: str(int(self._output)),
@@ -162,6 +158,17 @@ class Lamp:
             "SHUT:ABOR": self._abort_command,
             "SYST:WDOG": self._set_watchdog,
         }
+
+    def _power(self, now: float) -> None:
+        """Everything as after power-up."""
+        self._power_up = self._heard = now
+        self._line = bytearray()
+        self._errors: deque[LampError] = deque()
+        self._completed, self._last_id, self._next_id = 0, "", ""
+        self._open_s, self._tripped = 1.0, False
+        self._brightness: deque[tuple[float, float]] = deque([(now, 0.0)])
+        self._monitor = math.nan
+        self._output, self._level, self._mode, self._watchdog_s = False, 1.0, ShutterMode.BULB, 0.0
 
     # -- what the server asks
 
@@ -216,6 +223,30 @@ class Lamp:
         self._on_event("interlock", now, {"closed": closed})
         if not closed and (self._running is None or self._running.lit):
             self._darken(now)
+
+    # -- what goes wrong
+
+    def set_output(self, factor: float, now: float) -> None:
+        """Let the lamp give so many times the light that its level says, from now on."""
+        self.drift(factor, now, now)
+
+    def drift(self, factor: float, now: float, until: float) -> None:
+        """Let the lamp's light go to so many times what its level says, evenly until then."""
+        self.advance(now)
+        self._ageing = (now, self._output_at(now), until, factor)
+        self._follow_light(now)
+
+    def restart(self, now: float) -> None:
+        """Cut the power for a moment: the light is off, and nothing is remembered."""
+        self.advance(now)
+        self._darken(now)
+        self._power(now)
+
+    def _output_at(self, time: float) -> float:
+        begin, before, end, after = self._ageing
+        if time >= end:
+            return after
+        return before + (after - before) * max(time - begin, 0.0) / (end - begin)
 
     # -- the line
 
@@ -353,9 +384,10 @@ class Lamp:
     def _complete(self, exposure: Exposure, now: float) -> None:
         self._close_shutter(exposure, now)
         self._completed += 1
+        output = self._output_at((exposure.light_begin + exposure.light_end) / 2.0)
         if exposure.lit:
-            self._monitor = exposure.level
-        self._on_exposure(exposure, now)
+            self._monitor = exposure.level * output
+        self._on_exposure(replace(exposure, output=output), now)
 
     def _abort(self, now: float) -> None:
         if self._running:
@@ -388,7 +420,7 @@ class Lamp:
         if on != self._light:
             self._light = on
             self._on_event("light", now, {"on": on, "level": level})
-        self._brightness.append((now, level if on else 0.0))
+        self._brightness.append((now, level * self._output_at(now) if on else 0.0))
         while len(self._brightness) > 2 and self._brightness[1][0] < now - _MONITOR_S / self._speed:
             self._brightness.popleft()
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
+from simulator.camera_faults import FaultyCamera
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -135,16 +136,16 @@ def _answers(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
     settings = LightSettings(**json.loads(next(lines)))
     try:
         rig = prepare_rig(settings)
-        maker = _frame_maker(rig, settings)
+        camera = FaultyCamera(_frame_maker(rig, settings))
     except (GonioError, OSError) as error:
         yield {"error": error_record(error)}
         return
     yield machine_record(rig)
     for line in lines:
         order = json.loads(line)
-        shot = order["shot"]
+        shot, fault = order["shot"], order.pop("fault", None)
         try:
-            yield {"shot": shot, "path": str(maker.make(frame_request(rig, settings, order)))}
+            yield {"shot": shot, "path": camera.deliver(frame_request(rig, settings, order), fault)}
         except (GonioError, OSError) as error:
             yield {"shot": shot, "error": error_record(error)}
 

@@ -34,6 +34,8 @@ class TwinSettings:
     commands : int or None
         A descriptor: the twin ends with its other end, and each line on it flushes the log and is answered on
         standard output.
+    faults : str or None
+        Script of faults, see `simulator.faults`; None for a machine that is well.
     """
 
     materials: dict[str, str] = field(default_factory=dict)
@@ -44,6 +46,7 @@ class TwinSettings:
     log: bool = True
     variant: str | None = None
     commands: int | None = None
+    faults: str | None = None
 
 
 def add_twin_options(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +67,7 @@ def add_twin_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variant", help="Mitsuba's variant, scalar or llvm (default: the fastest that works)"
     )
+    parser.add_argument("--faults", metavar="FILE", help="what fails and when (docs/faults.md)")
     parser.add_argument("--no-log", action="store_true", help="keep no log of the wires")
 
 
@@ -90,4 +94,5 @@ def settings_from(options: argparse.Namespace, *, commands: int | None = None) -
         log=not options.no_log,
         variant=options.variant,
         commands=commands,
+        faults=options.faults,
     )

@@ -41,8 +41,11 @@ class PtyLine:
     Attributes
     ----------
     fd : int
-        The descriptor that the poller reports; another one after the line had to take a fresh terminal.
+        The descriptor that the poller reports; another one after the line had to take a fresh terminal, -1
+        while it is unplugged.
     """
+
+    fd: int
 
     def __init__(self, link: Path, poller: select.epoll) -> None:
         self._link, self._poller = link, poller
@@ -51,8 +54,21 @@ class PtyLine:
 
     def close(self) -> None:
         """Give the line up; clients see it end."""
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Pull the adapter out: the port is gone, and clients that had it open see it end."""
+        if self.fd < 0:
+            return
         self._abandon()
+        self.fd, self._deserted = -1, True
         self._link.unlink(missing_ok=True)
+
+    def plug_in(self) -> None:
+        """Put the adapter back, under the same name."""
+        if self.fd < 0:
+            self._deserted = False
+            self._open()
 
     def read(self) -> bytes:
         """Read all that clients have written; empty if there is nothing."""

@@ -39,6 +39,8 @@ class FrameRequest:
     shot : int
         Exposures completed since power-up, this one included. It names the file and does not reach the
         pixels.
+    output : float
+        Light that the lamp gave, over what it gives at that level when nothing is wrong with it.
     """
 
     seed: int
@@ -52,3 +54,4 @@ class FrameRequest:
     mode: str
     shot_id: str
     shot: int
+    output: float = 1.0

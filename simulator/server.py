@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from rig.control_table import BAUD_CODES, MODELS
 from rig.errors import BadInput, Refused
+from simulator.fault_injector import FaultInjector
+from simulator.faults import FaultScript, load_faults
 from simulator.lamp import Exposure, Lamp
 from simulator.light_link import LightLink
 from simulator.light_process import LightSettings
@@ -133,11 +135,13 @@ class _Server:
             time.monotonic(),
             speed=settings.speed,
             serial=f"twin{settings.seed}",
-            on_event=self._log.event,
+            on_event=self._note,
             on_exposure=self._order_frame,
         )
+        self._begun = 0
         self._joints: tuple[str, ...] = ()
         self._line = ServoLine(())
+        self._faults = self._injector(FaultScript())
         self._wake_read, self._wake_write = os.pipe()
 
     def run(self, announce: Announce) -> int:
@@ -198,6 +202,7 @@ class _Server:
         if unknown:
             raise BadInput(f"no model {unknown[0]!r}", where="rig", todo=f"one of {', '.join(MODELS)}")
         self._joints = tuple(joint["name"] for joint in machine["joints"])
+        script = load_faults(self._settings.faults, self._joints) if self._settings.faults else FaultScript()
         now = time.monotonic()
         self._line = ServoLine(
             [
@@ -213,12 +218,25 @@ class _Server:
             ]
         )
 
+        self._faults = self._injector(script)
+
+    def _injector(self, script: FaultScript) -> FaultInjector:
+        return FaultInjector(
+            script,
+            servos=dict(zip(self._joints, self._line.servos, strict=True)),
+            lamp=self._lamp,
+            lines={"servos": self._servo_pty, "lamp": self._lamp_pty},
+            now=time.monotonic(),
+            on_event=self._log.event,
+        )
+
     # -- the loop
 
     def _turn(self) -> None:
         """Wait for the next thing to do, and do it."""
         events = self._poller.poll(self._timeout_s())
         self._lamp.advance(time.monotonic())
+        self._faults.advance(time.monotonic())
         for fd, event in events:
             if fd == self._servo_pty.fd:
                 self._serve_servos(hung_up=bool(event & _HANG_UP))
@@ -232,16 +250,17 @@ class _Server:
             self._log.flush()
 
     def _timeout_s(self) -> float:
-        """Time until the lamp does something by itself, or the log wants to be flushed; -1 for ever."""
-        due = self._lamp.deadline()
-        times = [max(due - time.monotonic(), 0.0)] if due is not None else []
+        """Time until lamp or fault do something by themselves, or the log wants a flush; -1 for ever."""
+        dues = (self._lamp.deadline(), self._faults.deadline())
+        times = [max(due - time.monotonic(), 0.0) for due in dues if due is not None]
         if self._log.dirty:
             times.append(_FLUSH_S)
         return min(times, default=-1.0)
 
     def _serve_servos(self, *, hung_up: bool) -> None:
         data, now = self._servo_pty.read(), time.monotonic()
-        answer = self._line.handle(data, now)
+        answer = self._line.handle(self._faults.heard("servos", data, now), now)
+        answer = self._faults.say("servos", answer, now)
         self._servo_pty.write(answer)
         self._log.wire("servos", "in", data, now)
         self._log.wire("servos", "out", answer, now)
@@ -252,12 +271,21 @@ class _Server:
     def _serve_lamp(self, *, hung_up: bool) -> None:
         data, now = self._lamp_pty.read(), time.monotonic()
         self._log.wire("lamp", "in", data, now)
-        answer = self._lamp.handle(data, now)
+        answer = self._lamp.handle(self._faults.heard("lamp", data, now), now)
+        answer = self._faults.say("lamp", answer, now)
         self._lamp_pty.write(answer)
         self._log.wire("lamp", "out", answer, now)
         if hung_up and self._lamp_pty.renew_if_abandoned():
             self._lamp.forget_partial_line()
             self._log.event("client_gone", now, {"port": "lamp"})
+        for _ in range(self._begun):
+            self._faults.exposure_begins(now)
+        self._begun = 0
+
+    def _note(self, event: str, now: float, details: dict[str, Any]) -> None:
+        """Log what lamp and shutter did; faults that wait for an exposure come when the lamp has finished."""
+        self._log.event(event, now, details)
+        self._begun += event == "shutter" and bool(details["open"])
 
     def _obey(self, fd: int) -> None:
         """Flush the log for each line from whoever started the twin; end with the last of them."""
@@ -291,6 +319,8 @@ class _Server:
                 "mode": exposure.mode.value,
                 "shot_id": exposure.shot_id,
                 "shot": exposure.shot,
+                "output": exposure.output,
+                "fault": self._faults.of_frame(),
             }
         )
 

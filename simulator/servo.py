@@ -27,7 +27,7 @@ from rig.control_table import (
     StatusError,
     control_table,
 )
-from simulator.motion import Motion, move_to, turn_at
+from simulator.motion import Limits, Motion, move_to, turn_at
 from simulator.profile import Profile
 from simulator.registers import Registers
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 TICKS_PER_TURN = 4096
 SUPPLY_DV, TEMPERATURE_DEG_C = 120, 32
-"""What the servo measures of itself: 12.0 V and a body a little warmer than the room."""
+"""What a healthy servo measures of itself: 12.0 V and a body a little warmer than the room."""
 WATCHDOG_UNIT_S = 0.02
 NEVER = 255
 """A secondary ID that answers to nobody."""
@@ -93,6 +93,8 @@ class Servo:
         self._speed, self._power_up, self._heard = speed, now, now
         self._motion, self._motion_start = Motion(float(shaft_ticks)), now
         self._counted_turns = 0
+        self._temperature_deg_c = TEMPERATURE_DEG_C
+        self._hindrance = (1.0, now)
         self._shut_down = False
         self._registered: tuple[int, bytes] | None = None
         self._after: dict[str, Callable[[int, float], None]] = {
@@ -199,6 +201,7 @@ class Servo:
         self._halt(now)
         self._registers.reset(Area.RAM)
         self._registered, self._shut_down = None, False
+        self._temperature_deg_c = TEMPERATURE_DEG_C
         self._heard = now
         self._forget_turns(now)
         self._registers.set("goal_position", self.present_ticks(now))
@@ -235,6 +238,26 @@ class Servo:
             self._halt(now)
             self._registers.set("torque_enable", 0)
             self._shut_down = True
+
+    def heat(self, temperature_deg_c: int, now: float) -> None:
+        """Let it grow warm; beyond its limit that is a hardware error. It has cooled after a reboot."""
+        self._temperature_deg_c = temperature_deg_c
+        self._check_hardware(now)
+
+    def hinder(self, factor: float, now: float, until: float) -> None:
+        """Let something hold the shaft until then: it moves so many times as fast, or with 0 not at all."""
+        if factor == 0.0:
+            self._halt(now)
+        self._hindrance = (factor, until)
+
+    def lose_turn(self) -> None:
+        """Let the count of turns be off by one: the servo reports a place one turn away."""
+        self._counted_turns += 1
+
+    def trip_watchdog(self, now: float) -> None:
+        """Let the bus watchdog trip: the shaft stops, and goals are refused until it is cleared."""
+        self._halt(now)
+        self._registers.set("bus_watchdog", BUS_WATCHDOG_TRIPPED)
 
     # -- where it is
 
@@ -314,6 +337,11 @@ class Servo:
         position, velocity = self._shaft(now)
         target = self._to_shaft(value)
         limits, kind = self._profile.limits(target - position)
+        factor, until = self._hindrance
+        if now < until:
+            if factor == 0.0:
+                return
+            limits = Limits(limits.velocity * factor, limits.acceleration * factor)
         motion = move_to(target, position, velocity, limits)
         self._start(motion if kind is None else replace(motion, kind=kind), now)
 
@@ -344,7 +372,7 @@ class Servo:
         errors = HardwareError(0)
         if not self.value("min_voltage_limit") <= SUPPLY_DV <= self.value("max_voltage_limit"):
             errors |= HardwareError.INPUT_VOLTAGE
-        if self.value("temperature_limit") < TEMPERATURE_DEG_C:
+        if self.value("temperature_limit") < self._temperature_deg_c:
             errors |= HardwareError.OVERHEATING
         if errors:
             self.fail(errors, now)
@@ -412,7 +440,7 @@ class Servo:
             ("velocity_trajectory", velocity),
             ("position_trajectory", position),
             ("present_input_voltage", SUPPLY_DV),
-            ("present_temperature", TEMPERATURE_DEG_C),
+            ("present_temperature", self._temperature_deg_c),
             ("backup_ready", 0),
         ):
             self._registers.set(name, value)

@@ -41,6 +41,8 @@ class Twin:
         Whether to keep a log of the wires.
     variant : str, optional
         Mitsuba's variant; by default the fastest that works.
+    faults : path, optional
+        Script of faults, see `simulator.faults`.
 
     Attributes
     ----------
@@ -78,6 +80,7 @@ class Twin:
         folder: str | PathLike[str] | None = None,
         log: bool = True,
         variant: str | None = None,
+        faults: str | PathLike[str] | None = None,
     ) -> None:
         self._arguments = [f"--seed={seed}", f"--speed={speed!r}"]
         for station, material in (materials or {}).items():
@@ -86,6 +89,7 @@ class Twin:
         self._arguments += [f"--rig={rig}"] if rig else []
         self._arguments += [f"--folder={folder}"] if folder else []
         self._arguments += [f"--variant={variant}"] if variant else []
+        self._arguments += [f"--faults={faults}"] if faults else []
         self._arguments += [] if log else ["--no-log"]
         self._process: subprocess.Popen[str] | None = None
 
@@ -135,7 +139,8 @@ class Twin:
         list of dict
             In order of time. `t` is the monotonic time; `line` is "servos" or "lamp" with `direction` ("in"
             from the client, "out" to it) and `data` (hex), or "state" with `event`: "light" (`on`), "shutter"
-            (`open`), "exposed", "aborted", "frame", "frame_failed", "watchdog", "interlock", "client_gone".
+            (`open`), "exposed", "aborted", "fault", "frame", "frame_failed", "watchdog", "interlock",
+            "client_gone".
         """
         process = self._running()
         if process.stdin:
