@@ -2,17 +2,20 @@
 
 Reading gives the value at the table's own nodes, divided by the cosine; negative values stay. Linear RGB of
 unnamed primaries unless the file names wavelengths. The file itself stays with the samples: as long as nobody
-changes them, writing gives its tensors bit for bit. Other samples are interpolated onto an isotropic table.
+changes them, writing gives its tensors bit for bit, and where somebody did, only the nodes around change.
+Other samples are interpolated onto an isotropic table.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.formats.loss import Loss, unchanged
-from analysis.formats.rgl_layout import LAYOUT, nodes_of, own_tensors, with_layout
+from analysis.formats.loss import Loss, compared, unchanged
+from analysis.formats.rgl_edited import edited_tensors
+from analysis.formats.rgl_layout import LAYOUT, is_unchanged, kept_table, nodes_of, with_layout
 from analysis.formats.rgl_resample import resample
 from analysis.formats.rgl_table import Table
+from analysis.formats.scattered import usable
 from analysis.formats.tensor import MAGIC, read_tensors, write_tensors
 from analysis.samples import make_samples
 
@@ -25,6 +28,8 @@ NAME = "RGL .bsdf"
 OPTIONS = ("no_cosine",)
 SUFFIX = ".bsdf"
 RGB = ("R", "G", "B")
+HELD = ("wavelength_nm", LAYOUT)
+"""What a table holds beside directions and values."""
 
 
 def sniff(head: bytes) -> bool:
@@ -67,6 +72,8 @@ def read(path: Path, *, no_cosine: bool = False) -> xr.Dataset:
 def write(samples: xr.Dataset, path: Path) -> Loss:
     """Write samples: those of a table as that table, others as an isotropic one, one channel as grey.
 
+    Of a table's samples some may have been changed, rejected or left out; see `analysis.formats.rgl_edited`.
+
     Parameters
     ----------
     samples : xarray.Dataset
@@ -84,10 +91,15 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     BadInput
         If the samples are too few, lie in one plane, or have channels that the format cannot hold.
     """
-    tensors = own_tensors(samples)
-    if tensors is not None:
-        write_tensors(path, tensors)
-        return unchanged(samples, samples.sizes["sample"], kept=("wavelength_nm", LAYOUT))
-    tensors, loss = resample(samples)
+    kept = kept_table(samples)
+    if kept is None:
+        tensors, loss = resample(samples)
+    elif is_unchanged(samples, kept):
+        tensors, loss = kept.tensors, unchanged(samples, samples.sizes["sample"], kept=HELD)
+    else:
+        tensors, cells, filled = edited_tensors(samples, kept)
+        given = usable(samples)
+        back = Table(tensors, "samples").evaluate(given.wi, given.wo) / given.wo[:, 2:]
+        loss = compared(samples, *given[:3], back, cells=cells, filled=filled, kept=HELD)
     write_tensors(path, tensors)
     return loss

@@ -105,6 +105,19 @@ class Table:
             result[rows] = self._evaluate(*self._reduced(wi[rows], wo[rows]))
         return result
 
+    def weight(self, wi: Array, wo: Array) -> Array:
+        """Return what a node's value is multiplied with to give f_r cos(theta_o), shape (N,).
+
+        Parameters
+        ----------
+        wi, wo : ndarray, shape (N, 3)
+            Unit directions above the surface.
+        """
+        if not self.jacobian:
+            return np.ones(len(wi))
+        wi, wo = self._reduced(wi, wo)
+        return self._weight(*self._places(wi, wo))
+
     def half_vectors(self) -> tuple[Array, Array, Array, Array]:
         """Return the half vectors that the table's own nodes are for.
 
@@ -129,16 +142,23 @@ class Table:
         return tuple(angle.reshape(-1) for angle in spread)  # type: ignore[return-value]
 
     def _evaluate(self, wi: Array, wo: Array) -> Array:
-        theta_i, phi_i = direction_to_spherical(wi)
-        theta_h, phi_h = direction_to_spherical(half_vector(wi, wo))
-        light = _square(theta_i, phi_i)
-        half = _square(theta_h, phi_h - phi_i if self.isotropic else phi_h)
-        half[:, 1] -= np.floor(half[:, 1])
-        slices = self._slices(theta_i, phi_i)
+        light, half = self._places(wi, wo)
+        slices = self._slices(*direction_to_spherical(wi))
         value = _lookup(self.values, self._warp.invert(half, slices), slices)
         if self.jacobian:
-            value *= (_bilinear(self.ndf, half) / (4.0 * _bilinear(self.sigma, light)))[:, None]
+            value *= self._weight(light, half)[:, None]
         return value
+
+    def _places(self, wi: Array, wo: Array) -> tuple[Array, Array]:
+        """Square coordinates of light and half vector, shape (N, 2)."""
+        theta_i, phi_i = direction_to_spherical(wi)
+        theta_h, phi_h = direction_to_spherical(half_vector(wi, wo))
+        half = _square(theta_h, phi_h - phi_i if self.isotropic else phi_h)
+        half[:, 1] -= np.floor(half[:, 1])
+        return _square(theta_i, phi_i), half
+
+    def _weight(self, light: Array, half: Array) -> Array:
+        return np.asarray(_bilinear(self.ndf, half) / (4.0 * _bilinear(self.sigma, light)))
 
     def _reduced(self, wi: Array, wo: Array) -> tuple[Array, Array]:
         """Bring the light into the part of the azimuths that a symmetric anisotropic table covers."""

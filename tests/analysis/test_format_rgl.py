@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from analysis.formats.rgl_layout import own_tensors
+from analysis.formats.rgl_layout import is_unchanged, kept_table
 from analysis.formats.rgl_resample import resample
 from analysis.formats.rgl_table import Table
 from analysis.formats.tensor import read_tensors, write_tensors
@@ -116,7 +116,7 @@ def test_changed_samples_are_not_the_old_table(tensors, tmp_path, change):
     path = tmp_path / "file.dat"
     write_tensors(path, tensors)
     samples = read(path)
-    assert own_tensors(samples) is not None
+    assert is_unchanged(samples, kept_table(samples))
     if change == "value":
         samples["f_r"][3, 1] *= 1.0 + 1e-6
     elif change == "direction":
@@ -125,7 +125,69 @@ def test_changed_samples_are_not_the_old_table(tensors, tmp_path, change):
         samples = samples.isel(sample=slice(1, None))
     else:
         samples["flags"][5, 0] = 1
-    assert own_tensors(samples) is None
+    kept = kept_table(samples)
+    assert (kept is None) if change == "direction" else not is_unchanged(samples, kept)
+
+
+@pytest.mark.parametrize("change", ["value", "fewer", "flag", "nan"])
+def test_an_edited_table_changes_near_the_edit_only(tensors, tmp_path, change):
+    """Catches nodes that are lost, moved or interpolated anew because one of them was edited."""
+    path, again = tmp_path / "file.dat", tmp_path / "again.bsdf"
+    write_tensors(path, tensors)
+    samples = read(path)
+    theta_i = direction_to_spherical(samples["wi"].to_numpy())[0]
+    edited = int(np.flatnonzero(np.isclose(theta_i, 0.5))[3])
+    new = 3.0 * samples["f_r"].to_numpy()[edited, 1]
+    if change == "value":
+        samples["f_r"][edited, 1] = new
+    elif change == "fewer":
+        samples = samples.drop_isel(sample=edited)
+    elif change == "flag":
+        samples["flags"][edited, 1] = 4
+    else:
+        samples["f_r"][edited, 1] = np.nan
+    loss = write(samples, again)
+    assert loss.filled == 0
+    before, after = (read_tensors(each) for each in (path, again))
+    moved = np.argwhere(before["rgb"] != after["rgb"])
+    assert len(moved) > 0
+    assert set(moved[:, 1]) == {1}  # one polar angle of the light
+    assert set(moved[:, 2]) == ({0, 1, 2} if change == "fewer" else {1})
+    assert np.ptp(moved[:, 4]) <= 2
+    assert all(np.array_equal(before[name], after[name]) for name in before if name != "rgb")
+    kept = read(again)["f_r"].to_numpy()
+    if change == "value":
+        np.testing.assert_allclose(kept[edited, 1], new, rtol=1e-5)
+        assert loss.worst_relative < 1e-5
+    else:
+        around = before["rgb"][0, 1, 1]
+        assert around.min() <= after["rgb"][0, 1, 1][tuple(moved[0][3:])] <= around.max()
+
+
+def test_a_table_that_is_scaled_is_scaled_everywhere(tensors, tmp_path):
+    """Catches nodes below the horizon that stay behind, so that values near it come out wrong."""
+    tensors["rgb"][:] = 0.4
+    path, again = tmp_path / "file.dat", tmp_path / "again.bsdf"
+    write_tensors(path, tensors)
+    samples = read(path)
+    samples["f_r"] *= 2.0
+    write(samples, again)
+    np.testing.assert_allclose(read_tensors(again)["rgb"], 0.8, rtol=1e-5)
+
+
+def test_a_wide_gap_in_a_table_is_told(tensors, tmp_path):
+    """Catches values invented where a person rejected most of the samples."""
+    path, again = tmp_path / "file.dat", tmp_path / "again.bsdf"
+    write_tensors(path, {**tensors, "rgb": np.ones((1, 4, 3, 33, 33), np.float32)})
+    samples = read(path)
+    flat = samples["wi"].to_numpy()[:, 2] < np.cos(0.9)
+    samples["flags"][np.flatnonzero(flat)] = 1
+    loss = write(samples, again)
+    assert 0.9 * flat.sum() < loss.filled <= flat.sum()
+    samples["flags"][:] = 0
+    samples["flags"][np.flatnonzero(samples["wo"].to_numpy()[:, 2] > np.cos(0.4))] = 1
+    assert 0 < write(samples, again).filled < int((samples["flags"] != 0).any("channel").sum())
+    np.testing.assert_allclose(read_tensors(again)["rgb"], 1.0, rtol=1e-5)
 
 
 def test_an_isotropic_table_does_not_know_the_lights_azimuth(tensors):
