@@ -44,6 +44,9 @@ class Loss:
         The largest, at the peak too.
     where_worst : str
         Its directions and channel; empty where nothing changed.
+    u_between_relative : float
+        Between samples: median of the interpolation's standard uncertainty over f_r, where a grid was filled
+        by one that knows it; 0 elsewhere.
     cells : int
         Values of the format's grid above the surface; 0 where samples are written as they are.
     filled : int
@@ -57,6 +60,7 @@ class Loss:
     p95_relative: float = 0.0
     worst_relative: float = 0.0
     where_worst: str = ""
+    u_between_relative: float = 0.0
     cells: int = 0
     filled: int = 0
     dropped: tuple[str, ...] = ()
@@ -76,6 +80,8 @@ class Loss:
             )
         else:
             parts.append("the samples' values are kept")
+        if self.u_between_relative:
+            parts.append(f"between samples {100.0 * self.u_between_relative:.2g} % (standard uncertainty)")
         if self.filled:
             parts.append(f"{100.0 * self.filled_part:.2g} % of the grid has no sample nearby")
         if self.dropped:

@@ -7,6 +7,7 @@ theta_h takes the peak's steepness out of the values.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,8 +29,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Lookup = Callable[[Array, Array], tuple[Array, NDArray[np.bool_]]]
 
-SIDES = (97, 145, 193)
+SIDES = (97, 145, 193, 289, 385)
 """Nodes of a written table along the half vector's azimuth and polar angle: Mitsuba wants a square."""
+
+FORMULA_SIDE = 193
+"""The same of a table that a formula fills."""
+
+LARGEST_BYTES = 64_000_000
+"""A table that grows beyond this is not made finer."""
+
+LOSS_FALLS = 1.5
+"""Power of the size with which a table's loss falls: measured on tables with texture."""
+
+FINE_ENOUGH, OF_BETWEEN = 0.002, 0.25
+"""A table is to give the samples back to this, or to this part of what is not known between them: median
+relative error off the peak."""
+
+ASKED_BETWEEN = 2000
+"""Pairs of directions at which the uncertainty between samples is looked up."""
 
 STEPS_IN_SPACING = 2.0
 """Nodes along the radius in the distance between the densest samples, if the largest side allows so many."""
@@ -79,20 +96,28 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
         found = interpolant(wi, wo)
         return found.f_r, found.hole
 
-    grid = _nodes(between, profile, _incidences(interpolant), _side(interpolant), given.f_r.shape[1])
-    tensors = tensors_of(
-        grid.theta_i, grid.values, profile, wavelengths, str(samples.attrs.get("source", ""))
-    )
-    table = Table(tensors, "samples")
-    back = table.evaluate(given.wi, given.wo) / given.wo[:, 2:]
-    loss = compared(
-        samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm", LAYOUT)
-    )
-    return tensors, loss
+    u_between = _between_samples(interpolant, given)
+    theta_i, channels = _incidences(interpolant), given.f_r.shape[1]
+    source = str(samples.attrs.get("source", ""))
+
+    def made(side: int) -> tuple[dict[str, NDArray[Any]], Loss]:
+        grid = _nodes(between, profile, theta_i, side, channels)
+        tensors = tensors_of(grid.theta_i, grid.values, profile, wavelengths, source)
+        back = Table(tensors, "samples").evaluate(given.wi, given.wo) / given.wo[:, 2:]
+        cells = {"cells": grid.cells, "filled": grid.filled}
+        return tensors, compared(samples, *given[:3], back, **cells, kept=("wavelength_nm", LAYOUT))
+
+    side = _side(interpolant)
+    tensors, loss = made(side)
+    wanted = max(FINE_ENOUGH, OF_BETWEEN * u_between)
+    finer = _finer(side, loss.median_relative / wanted, theta_i.size * channels)
+    if finer > side:
+        tensors, loss = made(finer)
+    return tensors, replace(loss, u_between_relative=u_between)
 
 
 def table_of(
-    evaluate: Callable[[Array, Array], Array], source: str, *, side: int = SIDES[-1]
+    evaluate: Callable[[Array, Array], Array], source: str, *, side: int = FORMULA_SIDE
 ) -> dict[str, NDArray[Any]]:
     """Evaluate an isotropic formula onto a table of linear RGB.
 
@@ -178,9 +203,27 @@ def _incidences(interpolant: Interpolant) -> Array:
 def _side(interpolant: Interpolant) -> int:
     """Choose the size that the samples' density asks for: more nodes would only hold interpolation."""
     # Samples of one place have no spacing, and ask for the finest.
-    finest = max(interpolant.finest_radius, STEPS_IN_SPACING / SIDES[-1])
+    finest = max(interpolant.finest_radius, STEPS_IN_SPACING / FORMULA_SIDE)
     wanted = STEPS_IN_SPACING / finest + 1.0
-    return next((side for side in SIDES if side >= wanted), SIDES[-1])
+    return next((side for side in SIDES if side >= wanted), FORMULA_SIDE)
+
+
+def _finer(side: int, excess: float, planes: int) -> int:
+    """Choose the size at which the loss would be less by the factor `excess`, as far as memory allows."""
+    most = np.sqrt(LARGEST_BYTES / (planes * np.dtype(np.float32).itemsize))
+    allowed = [each for each in SIDES if each >= side and each <= max(most, side)]
+    wanted = side * max(excess, 1.0) ** (1.0 / LOSS_FALLS)
+    return next((each for each in allowed if each >= wanted), allowed[-1])
+
+
+def _between_samples(interpolant: Interpolant, given: Usable) -> float:
+    """Median of u over |f_r| between samples: lights of some with the views of others."""
+    rng = np.random.default_rng(0)
+    lights, views = (rng.integers(len(given.wi), size=ASKED_BETWEEN) for _ in range(2))
+    found = interpolant(given.wi[lights], given.wo[views])
+    known = ~found.hole[:, None] & (found.f_r != 0.0)
+    relative = found.u_f_r[known] / np.abs(found.f_r[known])
+    return float(np.median(relative)) if relative.size else 0.0
 
 
 def _nodes(

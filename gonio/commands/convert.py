@@ -8,7 +8,7 @@ sample is near are not invented: the command refuses, unless --fill allows it. R
 .nc file that is written over are kept; where their samples are not found again, the command refuses.
 
 The JSON object: files, out, format, samples, written, loss: {median_relative, p95_relative, worst_relative,
-where_worst, cells, filled, filled_part, dropped}, doubts
+where_worst, u_between_relative, cells, filled, filled_part, dropped}, doubts
 """
 
 from __future__ import annotations

@@ -217,6 +217,7 @@ def test_resampled_closed_form(tmp_path, layers):
     loss = write(make_samples(wi, wo, model.evaluate(wi, wo)), path)
     assert str(loss).startswith("off the peak 0.")
     assert loss.median_relative < 0.005
+    assert 0.0 < loss.u_between_relative < 0.05
     assert loss.cells > 0
     table = Table(read_tensors(path), str(path))
     theta = np.arccos(np.random.default_rng(5).uniform(*np.cos(np.radians([44.0, 31.0])), 4000))
@@ -321,18 +322,21 @@ def test_values_that_are_no_table(tensors, tmp_path, name, value):
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_real_files_from_scattered_samples(shared_data):
-    """Catches an interpolation that only closed forms survive: 1 % off the peak, 3 % where it glitters."""
-    bound = {"cm_military_green_rgb": 0.01, "vch_golden_yellow_rgb": 0.003, "irid_flake_paint1_rgb": 0.03}
+    """Catches an interpolation that only closed forms survive: 1 % off the peak, 2 % where it glitters."""
+    bound = {"cm_military_green_rgb": 0.008, "vch_golden_yellow_rgb": 0.002, "irid_flake_paint1_rgb": 0.02}
     wi, wo = directions(50_000, 11, 86), directions(50_000, 12, 88)
     asked = directions(20_000, 7, 66), directions(20_000, 6, 66)
     for path in sorted((shared_data / "rgl").glob("*.bsdf")):
         table = Table(read_tensors(path), str(path))
         samples = make_samples(wi, wo, table.evaluate(wi, wo) / wo[:, 2:], channels=["R", "G", "B"])
-        written = Table(resample(samples)[0], "written")
+        tensors, loss = resample(samples)
+        written = Table(tensors, "written")
         true = table.evaluate(*asked)
         off_peak = true < 0.5 * true.max(axis=0)
         error = np.abs(written.evaluate(*asked) - true)[off_peak] / np.abs(true[off_peak])
         assert np.median(error) < bound[path.stem], path.stem
+        # The median error of a normal distribution is 0.67 standard deviations; grazing ones are larger.
+        assert 0.2 * loss.u_between_relative < np.median(error) < loss.u_between_relative, path.stem
 
 
 @pytest.mark.realdata
