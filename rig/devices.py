@@ -208,7 +208,7 @@ class CameraDevice(_Device):
         super().__init__(name)
         self._machine = machine
         self._next: Shot | None = None
-        self._last: tuple[Shot, Path, float] | None = None
+        self._last: tuple[Shot, Path, float, float] | None = None
 
     @property
     def path(self) -> Path | None:
@@ -236,14 +236,15 @@ class CameraDevice(_Device):
         return self._start(lambda: self._shoot(shot))
 
     def read(self) -> Reading:
-        """Name, exposure and file of the last shot; cached."""
+        """Name, exposure, light and file of the last shot; cached."""
         if self._last is None:
             return {}
-        shot, path, time_s = self._last
+        shot, path, lamp_output, time_s = self._last
         values = {
             "shot_id": shot.shot_id,
             "exposure_s": shot.exposure_s,
             "lit": not shot.dark,
+            "lamp_output": lamp_output,
             "path": str(path),
         }
         return {f"{self.name}_{key}": {"value": value, "timestamp": time_s} for key, value in values.items()}
@@ -254,13 +255,14 @@ class CameraDevice(_Device):
             "shot_id": ("string", ""),
             "exposure_s": ("number", "s"),
             "lit": ("boolean", ""),
+            "lamp_output": ("number", ""),
             "path": ("string", ""),
         }
         return {f"{self.name}_{key}": _key(key, kind, unit) for key, (kind, unit) in kinds.items()}
 
     def _shoot(self, shot: Shot) -> None:
         path = self._machine.shoot(shot.shot_id, shot.exposure_s, dark=shot.dark)
-        self._last = (shot, path, time.time())
+        self._last = (shot, path, self._machine.lamp_output, time.time())
 
 
 def _key(source: str, kind: str, unit: str) -> dict[str, Any]:

@@ -197,6 +197,11 @@ class HotFolder:
         self._report_unreadable(look)
         raise self._nothing(shot_id, timeout_s, look.strays)
 
+    def reject(self, picture: Path, reason: str) -> None:
+        """Report a picture that arrived as it should, and is none for another reason."""
+        if self.on_stray is not None:
+            self.on_stray(Stray(picture, reason))
+
     def _look(self, look: _Look) -> Path | None:
         """Look once: report what does not belong, return the picture if it is there."""
         picture: Path | None = None

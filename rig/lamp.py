@@ -39,6 +39,9 @@ EXPOSURE_MARGIN_S = 5.0
 OPEN_MARGIN_S = 0.1
 """In LAMP mode the shutter is open this much longer than the lamp is lit, half before and half after."""
 
+MONITOR_S = 0.1
+"""The photodiode's window while the light is on: as long it must have burned before a reading is its own."""
+
 ID_CHARACTERS = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
 ID_LENGTH = 40
 
@@ -71,7 +74,7 @@ class Lamp:
         self._heart: threading.Thread | None = None
         self._heart_stop = threading.Event()
         self._fault: GonioError | None = None
-        self._uptime_s = -math.inf
+        self._uptime_s = self._steady_from = -math.inf
         self._line = LampLine(port)
         try:
             self._line.command("OUTP OFF")  # whatever a predecessor left on
@@ -119,6 +122,10 @@ class Lamp:
         """Photodiode over the last lit exposure, 1 = nominal; NaN if there was none."""
         return self._line.number("MEAS:MON?")
 
+    def output(self) -> float:
+        """Light of the last lit exposure over what the level promises; NaN if it was too short to be read."""
+        return self.monitor() / self.level
+
     def is_on(self) -> bool:
         """Whether the continuous light is on."""
         return self._line.query("OUTP?") == "1"
@@ -139,6 +146,7 @@ class Lamp:
                 raise DeviceLost(
                     "the light does not switch on", where=self.port, todo="check lamp and supply"
                 )
+            self._steady_from = time.monotonic() + MONITOR_S
 
     def off(self) -> None:
         """Switch the light off for good: read back, watchdog disarmed, heartbeat ended.
@@ -235,8 +243,11 @@ class Lamp:
             self._line.check(error, verb)
         if light != "1" and not dark and self.mode != "LAMP":
             self._line.command("SHUT:ABOR")
+            self._require_closed_interlock()
             raise Transient("the light went out before it", where=f"shot {shot_id}", todo="make it again")
         self._wait(state, before, shot_id, self.shutter_s(exposure_s))
+        if dark:
+            self._steady_from = time.monotonic() + MONITOR_S
 
     def _prepare(self, exposure_s: float, *, dark: bool) -> None:
         if self.mode == "LAMP":
@@ -245,8 +256,10 @@ class Lamp:
             return
         if self.mode == "LAMP":
             self._arm()
-        elif not self._lit():
-            self.on()
+        else:
+            if not self._lit():
+                self.on()
+            time.sleep(max(self._steady_from - time.monotonic(), 0.0))
 
     def _lit(self) -> bool:
         return self._heart is not None and self.is_on()

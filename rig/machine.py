@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from rig.bus import ServoBus
-from rig.errors import BadInput, DeviceLost, GonioError, Refused, Unsafe
+from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
 from rig.handshake import Handshake, ServoSpec
 from rig.hotfolder import FrameFacts, HotFolder, Stray
 from rig.lamp import Lamp
@@ -175,6 +175,8 @@ class Machine:
     arms : Arms
     lamp : Lamp
     camera : HotFolder
+    lamp_output : float
+        Light of the last shot over what the lamp's level promises; NaN for a dark or unmeasured one.
     """
 
     def __init__(self, rig: Rig, inspect: Callable[[Path], FrameFacts] | None = None) -> None:
@@ -186,6 +188,7 @@ class Machine:
         self._exits: list[Callable[[], None]] = []
         self._lamp: Lamp | None = None
         self._servos: Servos | None = None
+        self.lamp_output = math.nan
         try:
             self._open(inspect)
         except BaseException:
@@ -316,9 +319,10 @@ class Machine:
             self._warm_up()
         mark = self.camera.mark()
         self.lamp.expose(exposure_s, shot_id, dark=dark)
+        self.lamp_output = math.nan if dark else self.lamp.output()
         self.arms.require_held()
         self._require_running()
-        return self.camera.wait_for(
+        picture = self.camera.wait_for(
             shot_id,
             self.lamp.shutter_s(exposure_s),
             mark,
@@ -326,6 +330,15 @@ class Machine:
             lit=not dark,
             cancelled=self._stopped.is_set,
         )
+        # Only now: a picture that arrives after its shot was given up would pass for the next try's.
+        if abs(self.lamp_output - 1.0) > self.rig.lamp.monitor_band:
+            self.camera.reject(picture, f"the lamp gave {self.lamp_output:.3g} times its light")
+            raise Transient(
+                f"the lamp gave {self.lamp_output:.3g} times the light of its level",
+                where=f"shot {shot_id}",
+                todo="see to the lamp, or widen lamp.monitor_band in the rig file",
+            )
+        return picture
 
     def _warm_up(self) -> None:
         """Let the lamp burn in once; a stop ends the wait."""

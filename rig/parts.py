@@ -96,6 +96,13 @@ class Lamp(Part):
     warm_up_s: float = Field(
         0.0, ge=0, le=86_400, description="time to burn in before measuring, 0 to 86400 s"
     )
+    monitor_band: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="share by which the photodiode may differ from the level, above 0 to 1; "
+        "a frame with less or more light does not count",
+    )
 
 
 class Camera(Part):

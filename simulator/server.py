@@ -307,7 +307,15 @@ class _Server:
             for name, servo in zip(self._joints, self._line.servos, strict=True)
         )
         self._log.event(
-            "exposed", end, {"shot": exposure.shot, "id": exposure.shot_id, "moved": moved, "ticks": ticks}
+            "exposed",
+            end,
+            {
+                "shot": exposure.shot,
+                "id": exposure.shot_id,
+                "moved": moved,
+                "ticks": ticks,
+                "output": exposure.output,
+            },
         )
         self._light.order(
             {
