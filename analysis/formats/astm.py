@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, number, read_lines, row_of_numbers
+from analysis.formats.tables import Layout, cells_of, numbers_of_rows, rows_with_content
+from analysis.formats.text import looks_like_text, number, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
 from rig.errors import BadInput
@@ -52,27 +53,27 @@ def read(path: Path) -> xr.Dataset:
         or no angle in radians; names line and column.
     """
     lines = read_lines(path)
-    start, header, announced = _header(lines, path)
-    rows, places = [], []
-    for line, text in enumerate(lines[start:], start=start + 1):
-        if not text.strip():
-            continue
-        cells = text.split(",")
-        if len(cells) != len(header):
-            raise BadInput(
-                f"has {len(cells)} cells, VARS names {len(header)}",
-                where=f"{path}: line {line}",
-                todo="complete the row, separate cells by commas and write decimals with a point",
-            )
-        rows.append(row_of_numbers([cell.strip() for cell in cells], header, path=path, line=line))
-        places.append(line)
-    if not rows or announced not in {None, len(rows)}:
+    start, vars_, announced = _header(lines, path)
+    separator = separator_of(vars_)
+    header = _columns(vars_, separator, f"{path}: line {start}")
+    kept = rows_with_content(lines, start=start, comment="")
+    layout = Layout(
+        {len(header): header},
+        cells_of(separator, path),
+        expected=f"VARS names {len(header)}",
+        todo="complete the row, separate cells as VARS does, and write decimals with a point",
+        decimal_comma=separator != ",",
+        what="cells",
+    )
+    places = kept.places
+    rows = numbers_of_rows(kept, layout, path)
+    if not places or announced not in {None, len(places)}:
         raise BadInput(
-            f"announces {announced or 'some'} points, {len(rows)} follow",
+            f"announces {announced or 'some'} points, {len(places)} follow",
             where=f"{path}: line {len(lines)}",
             todo="the file is cut short or the count is wrong: copy it again",
         )
-    table = dict(zip(header, np.array(rows).T, strict=True))
+    table = dict(zip(header, rows.table().T, strict=True))
     for name in ("theta_i", "theta_s"):
         wrong = np.flatnonzero((table[name] < 0.0) | (table[name] > np.pi))
         if wrong.size:
@@ -84,7 +85,7 @@ def read(path: Path) -> xr.Dataset:
     channels = [name for name in header if name not in ANGLES]
     matches = [_WAVELENGTH.match(name) for name in channels]
     return make_samples(
-        spherical_to_direction(table["theta_i"], table.get("phi_i", np.zeros(len(rows)))),
+        spherical_to_direction(table["theta_i"], table.get("phi_i", np.zeros(len(places)))),
         spherical_to_direction(table["theta_s"], table["phi_s"]),
         np.stack([table[name] for name in channels], axis=1),
         channels=None if all(matches) else channels,
@@ -93,21 +94,28 @@ def read(path: Path) -> xr.Dataset:
     )
 
 
-def _header(lines: list[str], path: Path) -> tuple[int, list[str], int | None]:
-    """Return the index of the first row, the columns' names, and the announced number of rows."""
-    announced = None
+def _header(lines: list[str], path: Path) -> tuple[int, str, int | None]:
+    """Return the index of the first row, what VARS says, and the announced number of rows."""
+    announced: int | None = None
     for index, text in enumerate(lines):
-        key, _, value = text.strip().partition(" ")
+        key, value = (*text.split(maxsplit=1), "", "")[:2]
         where = f"{path}: line {index + 1}"
         if key == "NUM_POINTS":
-            announced = int(number(value.strip(), where=where))
+            stated = number(value.strip(), where=where)
+            if announced is not None or stated != int(stated) or stated < 1.0:
+                raise BadInput(
+                    f"NUM_POINTS {value.strip()[:40]} is no count, or the second one",
+                    where=where,
+                    todo="state the number of rows once",
+                )
+            announced = int(stated)
         elif key == "VARS":
-            return index + 1, _columns(value, where), announced
+            return index + 1, value, announced
     raise BadInput("has no line VARS", where=f"{path}: line {len(lines)}", todo="copy the file again")
 
 
-def _columns(text: str, where: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
+def _columns(text: str, separator: str, where: str) -> list[str]:
+    names = [name.strip() for name in text.split(separator)]
     double = sorted({name for name in names if names.count(name) > 1})
     missing = [name for name in REQUIRED if name not in names]
     if double or missing or "" in names or not set(names) - set(ANGLES):

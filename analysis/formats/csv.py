@@ -14,18 +14,23 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import looks_like_text, read_lines, row_of_numbers, separator_of
+from analysis.formats.tables import Layout, Lines, cells_of, numbers_of_rows, rows_with_content
+from analysis.formats.text import looks_like_text, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import xarray as xr
+
+Array = NDArray[np.float64]
 
 NAME = "gonio CSV"
 SUFFIX = ".csv"
@@ -66,31 +71,25 @@ def read(path: Path) -> xr.Dataset:
 def declared(path: Path) -> AngleTable:
     """Return the columns as they are, whatever the angles, for the convention doctor; raises as `read`."""
     content = read_lines(path)
-    lines = [
-        (line, text)
-        for line, text in enumerate(content, start=1)
-        if text.strip() and not text.lstrip().startswith("#")
-    ]
-    header_line, header_text = lines[0]
+    (header_text, *texts), (header_line, *places) = rows_with_content(content)
     separator = separator_of(header_text)
-    header = _cells(header_text, separator, path, header_line)
+    split = cells_of(separator, path)
+    header = [cell.strip() for cell in split(header_text, header_line)]
     values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
-    rows = []
-    for line, text in lines[1:]:
-        cells = _cells(text, separator, path, line)
-        if len(cells) != len(header):
-            raise BadInput(
-                f"has {len(cells)} cells, the header {len(header)}",
-                where=f"{path}: line {line}",
-                todo="complete the row, separate cells by commas and write decimals with a point",
-            )
-        row = row_of_numbers(cells, header, path=path, line=line, decimal_comma=separator != ",")
-        _check_polar(dict(zip(header, row, strict=True)), path, line)
-        rows.append(row)
-    if not rows:
+    layout = Layout(
+        {len(header): header},
+        split,
+        expected=f"the header {len(header)}",
+        todo="complete the row, separate cells by commas and write decimals with a point",
+        decimal_comma=separator != ",",
+        what="cells",
+    )
+    rows = numbers_of_rows(Lines(texts, places), layout, path)
+    if not texts:
         raise BadInput("has a header but no rows", where=str(path), todo="add samples")
-    _check_count(content[0], len(rows), f"{path}: line 1")
-    table = dict(zip(header, np.array(rows).T, strict=True))
+    _check_count(content[0], len(texts), f"{path}: line 1")
+    table = dict(zip(header, rows.table().T, strict=True))
+    _check_polar(table, places, path)
     theta_i, phi_i, theta_o, phi_o = (np.radians(table[name]) for name in ANGLES)
     names = [name.removeprefix("f_r").removeprefix("_") for name in values]
     matches = [_WAVELENGTH.match(name) for name in names]
@@ -124,12 +123,13 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     return unchanged(samples, int(np.count_nonzero(usable)), kept=("u_f_r", "wavelength_nm"))
 
 
-def _check_polar(row: dict[str, float], path: Path, line: int) -> None:
+def _check_polar(table: Mapping[str, Array], places: Sequence[int], path: Path) -> None:
     for name in ("theta_i_deg", "theta_o_deg"):
-        if abs(row[name]) > LARGEST_POLAR_DEG:
+        wrong = np.flatnonzero(np.abs(table[name]) > LARGEST_POLAR_DEG)
+        if wrong.size:
             raise BadInput(
-                f"{row[name]:g} is no polar angle in degrees",
-                where=f"{path}: line {line}, column {name}",
+                f"{table[name][wrong[0]]:g} is no polar angle in degrees",
+                where=f"{path}: line {places[wrong[0]]}, column {name}",
                 todo="polar angles are counted from the normal; perhaps columns are exchanged",
             )
 
@@ -142,17 +142,6 @@ def _check_count(first: str, count: int, where: str) -> None:
             where=where,
             todo="the file was cut short: copy it again; if you changed its rows, remove the line",
         )
-
-
-def _cells(text: str, separator: str, path: Path, line: int) -> list[str]:
-    if '"' not in text:  # the same, and much faster
-        return [cell.strip() for cell in text.split(separator)]
-    try:
-        return [cell.strip() for cell in next(csv.reader([text], delimiter=separator))]
-    except csv.Error as error:
-        raise BadInput(
-            f"is no row of a table ({error})", where=f"{path}: line {line}", todo="correct the line"
-        ) from None
 
 
 def _columns(header: list[str], *, where: str) -> tuple[list[str], list[str]]:

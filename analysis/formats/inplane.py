@@ -24,32 +24,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
-from analysis.formats.text import looks_like_text, read_lines, row_of_numbers, separator_of
+from analysis.formats.bands import gathered
+from analysis.formats.tables import Layout, Rows, cells_of, numbers_of_rows, rows_with_content, words_of
+from analysis.formats.text import looks_like_text, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import xarray as xr
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 NAME = "in-plane table"
 OPTIONS = ("material", "as_published")
 OPEN_END = True
 POLAR = ("theta_i_deg", "theta_o_deg")
 VALUES = ("f_r", "radiance_L_o")
+WAVELENGTH = "wavelength_nm"
+TO_NM = {"nm": 1.0, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ANGLES = ("phi_i", "theta_i", "phi_o", "theta_o")
 SOURCE_SOLID_ANGLE_SR = float(np.pi * 5.0**2 / 315.0**2)
 SOURCE_RADIANCE = 3463.986
 HORIZON = 1e-6
+SLACK_DEG = 1e-9
+"""What radians may be beyond a right angle by rounding."""
+
 # Nothing here can take what its neighbour takes: blanks without end would be tried in all ways.
 _NAME = re.compile(
-    r"(?P<name>[^\[(]*)[\[(](?P<unit>deg|degrees|rad|radians|1/sr|sr-1|sr\^-1)[\])]\Z", re.IGNORECASE
+    r"(?P<name>[^\[(]*)[\[(](?P<unit>deg|degrees|rad|radians|1/sr|sr-1|sr\^-1|nm|um|[µμ]m)[\])]\Z",
+    re.IGNORECASE,
 )
 _ZENITH = re.compile(r"\((phi|theta)_[io], *(?:phi|theta)_[io]\) are the zenith and azimuth")
+SPECTRAL = ("wavelength", "lambda")
 _WAVELENGTH = re.compile(r"lambda *= *(\d+(?:\.\d+)?) *nm")
 
 
@@ -66,7 +77,7 @@ def _comma_header(lines: list[str]) -> int | None:
     for index, line in enumerate(lines):
         if line.strip() and not line.lstrip().startswith("#"):
             names = list(_columns(line))
-            known = set(POLAR) <= set(names) and not set(names) - {*POLAR, *VALUES, "material"}
+            known = set(POLAR) <= set(names) and not set(names) - {*POLAR, *VALUES, WAVELENGTH, "material"}
             return index if known else None
     return None
 
@@ -83,9 +94,12 @@ def _columns(line: str) -> dict[str, float]:
         named = _NAME.match(cell)
         name, unit = (named["name"].strip(), named["unit"].lower()) if named else (cell, "")
         stem = name.removesuffix("_deg").removesuffix("_rad")
+        spectral, _, tail = name.lower().partition("_")
         if f"{stem}_deg" in POLAR and (unit or stem != name):
             radians = unit.startswith("rad") or name.endswith("_rad")
             columns[f"{stem}_deg"] = float(np.degrees(1.0)) if radians else 1.0
+        elif spectral in SPECTRAL and (unit or tail) in TO_NM:
+            columns[WAVELENGTH] = TO_NM[unit or tail]
         else:
             columns["f_r" if name.lower() in {"f_r", "brdf"} else name] = 1.0
     return columns if len(columns) == len(cells) else {}
@@ -148,62 +162,73 @@ def _read_commas(
         )
     if as_published and values != ["radiance_L_o"]:
         raise BadInput("holds no radiance", where=str(path), todo="leave --as-published out")
-    wanted = (*POLAR, values[0])
-    rows: dict[str, list[list[float]]] = {}
-    for line, text in enumerate(lines[header + 1 :], start=header + 2):
-        if not text.strip() or text.startswith("#"):
-            continue
-        cells = [cell.strip() for cell in text.split(separator)]
-        if len(cells) != len(names):
-            raise BadInput(
-                f"has {len(cells)} cells, the header {len(names)}",
-                where=f"{path}: line {line}",
-                todo="complete the row and write decimals with a point",
-            )
-        row = dict(zip(names, cells, strict=True))
-        read_as = row_of_numbers(
-            [row[name] for name in wanted], wanted, path=path, line=line, decimal_comma=separator != ","
-        )
-        numbers = [columns[name] * value for name, value in zip(wanted, read_as, strict=True)]
-        for name, angle in zip(POLAR, numbers, strict=False):
-            _check_polar(angle, path, line, name)
-        rows.setdefault(row.get("material", ""), []).append(numbers)
+    layout = Layout(
+        {len(names): names},
+        cells_of(separator, path),
+        expected=f"the header {len(names)}",
+        todo="complete the row and write decimals with a point",
+        decimal_comma=separator != ",",
+        what="cells",
+        label=names.index("material") if "material" in names else None,
+    )
+    rows = numbers_of_rows(rows_with_content(lines, start=header + 1), layout, path)
     chosen = _choose(rows, material, path)
-    theta_i, theta_o, value = np.array(rows[chosen]).T
-    theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
+    table = dict(zip((n for n in names if n != "material"), rows.table()[chosen].T, strict=True))
+    places = rows.places[chosen]
+    table = {name: column * columns[name] for name, column in table.items()}
+    for name in POLAR:
+        _check_polar(table[name], places, path, name)
+    bands = (
+        None
+        if WAVELENGTH not in table
+        else gathered(
+            np.stack([table[name] for name in POLAR], axis=1),
+            table[WAVELENGTH],
+            table[values[0]],
+            (places, path),
+        )
+    )
+    if bands is not None:
+        table |= dict(zip(POLAR, bands.keys.T, strict=True))
+    value = table[values[0]][:, None] if bands is None else bands.values
+    theta_i, theta_o = (np.radians(table[name]) for name in POLAR)
     above = (np.cos(theta_i) > HORIZON) & (np.cos(theta_o) > HORIZON)
     theta_i, theta_o, value = theta_i[above], theta_o[above], value[above]
     if values == ["radiance_L_o"]:
-        value = value / (SOURCE_RADIANCE * np.cos(theta_i) * SOURCE_SOLID_ANGLE_SR)
+        value = value / (SOURCE_RADIANCE * np.cos(theta_i) * SOURCE_SOLID_ANGLE_SR)[:, None]
     samples = make_samples(
         spherical_to_direction(theta_i, np.pi),
         spherical_to_direction(theta_o, 0.0),
-        value * np.cos(theta_o) if as_published else value,
-        channels=[values[0]],
+        value * np.cos(theta_o)[:, None] if as_published else value,
+        channels=[values[0]] if bands is None else None,
+        wavelength_nm=None if bands is None else bands.wavelength_nm,
         source_solid_angle_sr=SOURCE_SOLID_ANGLE_SR if values == ["radiance_L_o"] else np.nan,
-        source=f"{path.name} {chosen}".strip(),
+        source=f"{path.name} {rows.labels[chosen[0]] if rows.labels else ''}".strip(),
     )
     if as_published:
         samples.attrs["cosine"] = "cos(theta_o) left inside, as published"
     return samples
 
 
-def _choose(rows: dict[str, list[list[float]]], material: str | None, path: Path) -> str:
-    if not rows:
+def _choose(rows: Rows, material: str | None, path: Path) -> Indices:
+    """Return the rows of the material that is asked for, or of the only one."""
+    labels = rows.labels or [""] * len(rows.widths)
+    known = list(dict.fromkeys(labels))
+    if not known:
         raise BadInput("has a header but no rows", where=str(path), todo="add samples")
-    if material is None and len(rows) == 1:
-        return next(iter(rows))
-    if material not in rows:
-        what = f"holds no '{material}'" if material else f"holds {len(rows)} materials"
-        raise BadInput(what, where=str(path), todo=f"choose with --material one of {', '.join(rows)}")
-    return material
+    wanted = known[0] if material is None and len(known) == 1 else material
+    if wanted not in known:
+        what = f"holds no '{material}'" if material else f"holds {len(known)} materials"
+        raise BadInput(what, where=str(path), todo=f"choose with --material one of {', '.join(known)}")
+    return np.flatnonzero(np.array(labels) == wanted)
 
 
-def _check_polar(angle_deg: float, path: Path, line: int, column: str) -> None:
-    if not -90.0 <= angle_deg <= 90.0:
+def _check_polar(angles_deg: Array, places: Sequence[int], path: Path, column: str) -> None:
+    wrong = np.flatnonzero(np.abs(angles_deg) > 90.0 + SLACK_DEG)
+    if wrong.size:
         raise BadInput(
-            f"{angle_deg:g} is no polar angle in degrees",
-            where=f"{path}: line {line}, column {column}",
+            f"{angles_deg[wrong[0]]:g} is no polar angle in degrees",
+            where=f"{path}: line {places[wrong[0]]}, column {column}",
             todo="zenith angles lie in -90 to 90; perhaps zenith and azimuth are exchanged",
         )
 
@@ -238,24 +263,13 @@ def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array,
     comments = "\n".join(line for line in lines if line.startswith("#"))
     stated = _ZENITH.search(comments)
     zenith = stated.group(1) if stated else "theta"
-    rows = []
-    for line, text in enumerate(lines, start=1):
-        words = text.split()
-        if not words or text.startswith("#"):
-            continue
-        if len(words) != len(names):
-            raise BadInput(
-                f"has {len(words)} numbers, not {len(names)}",
-                where=f"{path}: line {line}",
-                todo="complete the row",
-            )
-        row = dict(zip(names, row_of_numbers(words, names, path=path, line=line), strict=True))
-        for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
-            _check_polar(row[name], path, line, name)
-        rows.append(row)
-    if not rows:
+    kept = rows_with_content(lines)
+    if not kept.texts:
         raise BadInput("has a header but no rows", where=f"{path}: line {header + 1}", todo="add samples")
-    table = {name: np.array([row[name] for row in rows]) for name in (*ANGLES, "brdf")}
+    layout = Layout({len(names): names}, words_of, expected=f"not {len(names)}")
+    table = dict(zip(names, numbers_of_rows(kept, layout, path).table().T, strict=True))
+    for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
+        _check_polar(table[name], kept.places, path, name)
     azimuth = "theta" if zenith == "phi" else "phi"
     angles = (f"{zenith}_i", f"{azimuth}_i", f"{zenith}_o", f"{azimuth}_o")
     wavelength = _WAVELENGTH.search(comments)

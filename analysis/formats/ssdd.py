@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from analysis.formats.doubts import ATTRIBUTE, UNFINISHED, unfinished
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines, row_of_numbers
+from analysis.formats.tables import Layout, Lines, numbers_of_rows, words_of
+from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines
 from analysis.formats.zemax import directions
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, from_half_difference, rotation, spherical_to_direction
@@ -47,8 +48,8 @@ _DATA_TYPE = re.compile(rb"^[ \t]*DATA_TYPE[ \t]", re.MULTILINE)
 _BINARY = re.compile(rb"^[ \t]*DATA[ \t]+binary[ \t]*(?:# [^\r\n]*)?\r?\n", re.MULTILINE)
 _COMMENT = re.compile(r"(?:^|\s)#\s")
 
-Line = tuple[int, list[str]]
-"""Number and words of a line."""
+Line = tuple[int, str]
+"""Number of a line and what stands on it, without comment."""
 
 
 class Entry(NamedTuple):
@@ -82,7 +83,7 @@ def read(path: Path) -> xr.Dataset:
         number; names line and column.
     """
     for block in _blocks(path):
-        if block.lines[0][1][1:] == ["brdf"]:
+        if block.lines[0][1].split()[1:] == ["brdf"]:
             return _samples(block, path)
     raise BadInput("holds no BRDF", where=f"{path}: line 1", todo="gonio reads reflection only")
 
@@ -94,12 +95,12 @@ def _blocks(path: Path) -> list[Block]:
     content = path.read_bytes()
     binary = _BINARY.search(content)
     if binary is None:
-        return [Block(lines, None) for lines in _text_blocks(_words(read_lines(path), first=1))]
+        return [Block(lines, None) for lines in _text_blocks(_with_content(read_lines(path), first=1))]
     blocks: list[Block] = []
     start, first = 0, 1
     while binary is not None:
         text = decoded_lines(content[start : binary.end()])
-        found = _text_blocks(_words(text, first=first))
+        found = _text_blocks(_with_content(text, first=first))
         if not found:
             raise BadInput("a table belongs to no DATA_TYPE", where=f"{path}: line {first}")
         end = binary.end() + _binary_bytes(found[-1], path)
@@ -114,8 +115,8 @@ def _blocks(path: Path) -> list[Block]:
         blocks.append(Block(found[-1], content[binary.end() : end]))
         start, first = end, first + len(text)
         binary = _BINARY.search(content, start)
-    rest = _words(decoded_lines(content[start:]), first=first)
-    if rest and rest[0][1][0] != "DATA_TYPE":
+    rest = _with_content(decoded_lines(content[start:]), first=first)
+    if rest and rest[0][1].split()[0] != "DATA_TYPE":
         raise BadInput(
             f"{len(content) - start} bytes follow a binary table that are no block",
             where=f"{path}: byte {start}",
@@ -124,26 +125,39 @@ def _blocks(path: Path) -> list[Block]:
     return blocks + [Block(lines, None) for lines in _text_blocks(rest)]
 
 
-def _words(lines: list[str], *, first: int) -> list[Line]:
-    """Split lines to words under their number, without comments and empty lines."""
+def _with_content(lines: list[str], *, first: int) -> list[Line]:
+    """Return lines under their number, without comments and empty lines."""
     content = [
-        (line, _COMMENT.split(text, maxsplit=1)[0].split()) for line, text in enumerate(lines, start=first)
+        (line, _COMMENT.split(text, maxsplit=1)[0].strip() if "#" in text else text.strip())
+        for line, text in enumerate(lines, start=first)
     ]
-    return [(line, words) for line, words in content if words]
+    return [(line, text) for line, text in content if text]
 
 
 def _text_blocks(lines: list[Line]) -> list[list[Line]]:
-    starts = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA_TYPE"]
+    starts = [index for index, (_, text) in enumerate(lines) if _begins(text, "DATA_TYPE")]
     return [lines[start:end] for start, end in pairwise([*starts, len(lines)])]
+
+
+def _begins(text: str, name: str) -> bool:
+    """Whether a line's first word is this name."""
+    return text.startswith(name) and text.split(maxsplit=1)[0] == name
 
 
 def _head(lines: list[Line], path: Path) -> tuple[dict[str, Entry], int]:
     """Return a block's entries by name, and how many lines they take."""
-    ends = [index for index, (_, words) in enumerate(lines) if words[0] == "DATA"]
-    if not ends:
+    end = next((index for index, (_, text) in enumerate(lines) if _begins(text, "DATA")), None)
+    if end is None:
         raise BadInput("has no entry DATA", where=f"{path}: line {lines[-1][0]}", todo="copy the file again")
-    entries = {words[0]: Entry(words[1:], f"{path}: line {line}") for line, words in lines[: ends[0] + 1]}
-    return entries, ends[0] + 1
+    entries: dict[str, Entry] = {}
+    for line, text in lines[: end + 1]:
+        name, *words = text.split()
+        if name in entries:
+            raise BadInput(
+                f"states {name[:40]} a second time", where=f"{path}: line {line}", todo="remove one of them"
+            )
+        entries[name] = Entry(words, f"{path}: line {line}")
+    return entries, end + 1
 
 
 def _binary_bytes(lines: list[Line], path: Path) -> int:
@@ -184,7 +198,8 @@ def _samples(block: Block, path: Path) -> xr.Dataset:
 
 def _table(block: Block, length: int, shape: tuple[int, int], path: Path) -> Array:
     """Return the values (cells, channels) that follow a block's entries."""
-    where, mode = f"{path}: line {block.lines[length - 1][0]}", block.lines[length - 1][1][1:]
+    last, text = block.lines[length - 1]
+    where, mode = f"{path}: line {last}", text.split()[1:]
     if block.table is not None:
         if len(block.table) != shape[0] * shape[1] * STORED.itemsize:
             raise BadInput("the lists do not announce the table's size", where=where, todo="copy it again")
@@ -208,17 +223,10 @@ def _table(block: Block, length: int, shape: tuple[int, int], path: Path) -> Arr
             where=f"{path}: line {block.lines[-1][0]}",
             todo="the file is cut short or a list is wrong: copy it again",
         )
-    return np.array([_row(line, words, shape[1], path) for line, words in body])
-
-
-def _row(line: int, words: list[str], width: int, path: Path) -> list[float]:
-    if len(words) != width:
-        raise BadInput(
-            f"has {len(words)} numbers, the colour model {width}",
-            where=f"{path}: line {line}",
-            todo="complete the row",
-        )
-    return row_of_numbers(words, [str(column) for column in range(1, width + 1)], path=path, line=line)
+    columns = [str(column) for column in range(1, shape[1] + 1)]
+    layout = Layout({shape[1]: columns}, words_of, expected=f"the colour model {shape[1]}")
+    rows = Lines([text for _, text in body], [line for line, _ in body])
+    return numbers_of_rows(rows, layout, path).table()
 
 
 def _entry(entries: dict[str, Entry], name: str, path: Path) -> Entry:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import TYPE_CHECKING
 
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -18,8 +16,6 @@ LARGEST_TEXT_BYTES = 16 * 1024**2
 
 SEPARATORS = (";", "\t", ",")
 """What may stand between cells; where it is no comma, a comma may stand in numbers."""
-
-_LINE_END = re.compile(r"\r\n|\n|\r")
 
 
 def looks_like_text(head: bytes) -> bool:
@@ -52,7 +48,7 @@ def decoded_lines(content: bytes) -> list[str]:
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     # Only what editors call a line end: `splitlines` also breaks at form feeds and Unicode separators.
-    return _LINE_END.split(text.removesuffix("\n").removesuffix("\r")) if text else []
+    return text.replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n") if text else []
 
 
 def separator_of(header: str) -> str:
@@ -60,7 +56,7 @@ def separator_of(header: str) -> str:
     return next((separator for separator in SEPARATORS if separator in header), ",")
 
 
-def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
+def number(text: str, *, where: str) -> float:
     """Convert a table's cell.
 
     Parameters
@@ -69,8 +65,6 @@ def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
         The cell.
     where : str
         File, line and column, for the error.
-    decimal_comma : bool
-        Whether the decimals may follow a comma, as where cells are separated by semicolons.
 
     Returns
     -------
@@ -82,10 +76,9 @@ def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
     BadInput
         If it is no number, or not a finite one.
     """
-    written = text.replace(",", ".") if decimal_comma and "." not in text else text
     try:
         # Python alone would take 1_0 for ten, and the digits of other scripts.
-        value = float(written) if written.isascii() and "_" not in written else None
+        value = float(text) if text.isascii() and "_" not in text else None
     except ValueError:
         value = None
     if value is None:
@@ -94,38 +87,3 @@ def number(text: str, *, where: str, decimal_comma: bool = False) -> float:
     if not math.isfinite(value):
         raise BadInput(f"'{text[:40]}' is not a finite number", where=where, todo="correct or remove the row")
     return value
-
-
-def row_of_numbers(
-    cells: Sequence[str], columns: Sequence[str], *, path: Path, line: int, decimal_comma: bool = False
-) -> list[float]:
-    """Convert a row's cells as `number` does, at a fraction of the time where all is well.
-
-    Parameters
-    ----------
-    cells : sequence of str
-        The cells.
-    columns : sequence of str
-        What the error calls the column of each.
-    path, line
-        The table and the row's line, for the error.
-    decimal_comma : bool
-        Whether the decimals may follow a comma.
-
-    Raises
-    ------
-    BadInput
-        If a cell is no number, or not a finite one.
-    """
-    text = "".join(cells)
-    if text.isascii() and "_" not in text and "," not in text:
-        try:
-            values = list(map(float, cells))
-        except ValueError:
-            values = [math.nan]
-        if math.isfinite(sum(values)):
-            return values
-    return [
-        number(cell, where=f"{path}: line {line}, column {column}", decimal_comma=decimal_comma)
-        for cell, column in zip(cells, columns, strict=True)
-    ]

@@ -1,0 +1,214 @@
+"""Rows of numbers, converted many at a time; where one is malformed, the error names its line and column."""
+
+from __future__ import annotations
+
+import csv
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.formats.text import number
+from rig.errors import BadInput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+CHUNK = 8192
+"""Rows that are taken apart at a time: their words take sixty times the space of the text."""
+
+
+class Lines(NamedTuple):
+    """Lines of a text that matter, and the number of each, counted from 1."""
+
+    texts: list[str]
+    places: list[int]
+
+
+class Rows(NamedTuple):
+    """The numbers of rows one after the other; of each row how many, its line, and its label if any."""
+
+    numbers: Array
+    widths: Indices
+    places: Indices
+    labels: list[str]
+
+    def table(self) -> Array:
+        """Return rows of one width as a table (rows, columns)."""
+        return self.numbers.reshape(len(self.widths), -1)
+
+
+class Layout(NamedTuple):
+    """What a row may look like.
+
+    Attributes
+    ----------
+    columns : mapping of int to sequence of str
+        By the number of cells that a row may have, what its columns are called in errors.
+    split : callable
+        Takes a row's text and its line apart.
+    expected : str
+        How many cells there should be: the end of the error about a row that has not.
+    todo : str
+        What to do about it.
+    decimal_comma : bool
+        Whether decimals may follow a comma. All of a table's do, or none.
+    label : int, optional
+        Index of a column that holds words, not numbers.
+    what : str
+        What stands in a row.
+    """
+
+    columns: Mapping[int, Sequence[str]]
+    split: Callable[[str, int], list[str]]
+    expected: str
+    todo: str = "complete the row or copy the file again"
+    decimal_comma: bool = False
+    label: int | None = None
+    what: str = "numbers"
+
+
+def rows_with_content(lines: Sequence[str], *, start: int = 0, comment: str = "#") -> Lines:
+    """Return the lines from an index on that are neither empty nor begin with a comment's sign."""
+    kept = [
+        (text, line)
+        for line, text in enumerate(lines[start:] if start else lines, start=start + 1)
+        if (bare := text.strip()) and not (comment and bare.startswith(comment))
+    ]
+    return Lines([text for text, _ in kept], [line for _, line in kept])
+
+
+def words_of(text: str, _line: int = 0) -> list[str]:
+    """Split a row at blanks."""
+    return text.split()
+
+
+def cells_of(separator: str, path: Path) -> Callable[[str, int], list[str]]:
+    """Return what splits a row at a separator, with cells in quotes as spreadsheets write them."""
+
+    def split(text: str, line: int) -> list[str]:
+        if '"' not in text:  # the same, and much faster
+            return text.split(separator)
+        try:
+            return next(csv.reader([text], delimiter=separator))
+        except csv.Error as error:
+            raise BadInput(
+                f"is no row of a table ({error})", where=f"{path}: line {line}", todo="correct the line"
+            ) from None
+
+    return split
+
+
+def bulk(words: Sequence[str]) -> Array | None:
+    """Convert words to finite numbers; None where `analysis.formats.text.number` would refuse one."""
+    text = "".join(words)
+    # Python alone would take 1_0 for ten, and the digits of other scripts.
+    if not text.isascii() or "_" in text:
+        return None
+    try:
+        values = np.fromiter(map(float, words), np.float64, len(words))
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
+
+
+def numbers_of_rows(lines: Lines, layout: Layout, path: Path) -> Rows:
+    """Convert rows of numbers.
+
+    Parameters
+    ----------
+    lines : Lines
+        The rows.
+    layout : Layout
+        What they may look like.
+    path : Path
+        The file, for errors.
+
+    Returns
+    -------
+    Rows
+
+    Raises
+    ------
+    BadInput
+        If a row has another number of cells, a cell is no finite number, or decimals follow points in some
+        and commas in other rows; names line and column.
+    """
+    numbers: list[Array] = []
+    widths: list[int] = []
+    labels: list[str] = []
+    mark = ""
+    for start in range(0, len(lines.texts), CHUNK):
+        texts, places = (part[start : start + CHUNK] for part in lines)
+        rows = [layout.split(text, line) for text, line in zip(texts, places, strict=True)]
+        sizes = list(map(len, rows))
+        if not set(sizes) <= layout.columns.keys():
+            raise _wrong_width(sizes, places, layout, path)
+        if layout.label is not None:
+            labels += [row.pop(layout.label).strip() for row in rows]
+        if layout.decimal_comma:
+            rows, mark = _with_points(rows, places, mark, path)
+        values = bulk(list(chain.from_iterable(rows)))
+        numbers.append(_one_by_one(rows, places, layout, path) if values is None else values)
+        widths += map(len, rows)
+    return Rows(
+        np.concatenate(numbers) if numbers else np.empty(0),
+        np.array(widths, dtype=np.intp),
+        np.array(lines.places, dtype=np.intp),
+        labels,
+    )
+
+
+def _wrong_width(sizes: Sequence[int], places: Sequence[int], layout: Layout, path: Path) -> BadInput:
+    size, line = next(
+        (size, line) for size, line in zip(sizes, places, strict=True) if size not in layout.columns
+    )
+    return BadInput(
+        f"has {size} {layout.what}, {layout.expected}", where=f"{path}: line {line}", todo=layout.todo
+    )
+
+
+def _one_by_one(rows: list[list[str]], places: Sequence[int], layout: Layout, path: Path) -> Array:
+    """Convert rows with the care that names the place of an error."""
+    names = {size: list(columns) for size, columns in layout.columns.items()}
+    if layout.label is not None:
+        names = {size - 1: columns for size, columns in names.items() if columns.pop(layout.label)}
+    found = [
+        number(cell.strip(), where=f"{path}: line {line}, column {name}")
+        for cells, line in zip(rows, places, strict=True)
+        for cell, name in zip(cells, names[len(cells)], strict=True)
+    ]
+    return np.array(found)
+
+
+def _with_points(
+    rows: list[list[str]], places: Sequence[int], mark: str, path: Path
+) -> tuple[list[list[str]], str]:
+    """Write decimals with points; `mark` is what separated decimals so far, empty where nothing did."""
+    text = "".join(chain.from_iterable(rows))
+    marks = {mark, *(sign for sign in ",." if sign in text)} - {""}
+    if "," not in marks:
+        return rows, "".join(marks)
+    if len(marks) > 1:
+        line = _first_other(rows, places, mark)
+        raise BadInput(
+            "decimals follow commas here and points elsewhere",
+            where=f"{path}: line {line}",
+            todo="write all with points, and thousands without a separator",
+        )
+    return [[cell.replace(",", ".") for cell in row] for row in rows], ","
+
+
+def _first_other(rows: list[list[str]], places: Sequence[int], mark: str) -> int:
+    """Return the first line whose decimals are marked otherwise than in what stands before it."""
+    for cells, line in zip(rows, places, strict=True):
+        signs = {sign for sign in ",." if any(sign in cell for cell in cells)}
+        if len(signs | {mark} - {""}) > 1:
+            return line
+        mark = mark or "".join(signs)
+    return places[-1]
