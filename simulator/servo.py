@@ -251,8 +251,9 @@ class Servo:
         self._hindrance = (factor, until)
 
     def lose_turn(self) -> None:
-        """Let the count of turns be off by one: the servo reports a place one turn away."""
-        self._counted_turns += 1
+        """Let the count of turns be off by one; in position mode, of one turn, there is nothing to lose."""
+        if self.value("operating_mode") != OperatingMode.POSITION:
+            self._counted_turns += 1
 
     def trip_watchdog(self, now: float) -> None:
         """Let the bus watchdog trip: the shaft stops, and goals are refused until it is cleared."""
