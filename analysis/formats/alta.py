@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.tables import Layout, numbers_of_rows, rows_with_content, words_of
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import from_half_difference, spherical_to_direction
@@ -44,6 +45,7 @@ COORDINATES = {
 VALUES = ("INV_STERADIAN", "INV_STERADIAN_COSINE_FACTOR", "RGB_COLOR", "XYZ_COLOR")
 CHANNELS = {"RGB_COLOR": ("R", "G", "B"), "XYZ_COLOR": ("X", "Y", "Z")}
 _DIM = re.compile(rb"^#DIM[ \t]+\d", re.MULTILINE)
+KEYS = ("DIM", "PARAM_IN", "PARAM_OUT", "FORMAT", "VS")
 HORIZON = 1e-6
 
 
@@ -62,32 +64,17 @@ def read(path: Path) -> xr.Dataset:
         column.
     """
     lines = read_lines(path)
-    header = _header(lines)
+    header = _header(lines, path)
     coordinates, kind, count, extra = _layout(header, path)
     inputs = COORDINATES[coordinates]
     width = inputs + count + extra
-    rows, places = [], []
-    for line, text in enumerate(lines, start=1):
-        if not text.strip() or text.startswith("#"):
-            continue
-        words = text.split()
-        if len(words) != width:
-            raise BadInput(
-                f"has {len(words)} numbers, the header announces {width}",
-                where=f"{path}: line {line}",
-                todo="complete the row or copy the file again",
-            )
-        rows.append(
-            [
-                number(word, where=f"{path}: line {line}, column {column}")
-                for column, word in enumerate(words, start=1)
-            ]
-        )
-        places.append(line)
-    if not rows:
+    kept = rows_with_content(lines)
+    if not kept.texts:
         raise BadInput("holds no samples", where=f"{path}: line {len(lines)}", todo="copy the file again")
-    table = np.array(rows)
-    wi, wo = _directions(table[:, :inputs], coordinates, places, path)
+    columns = [str(column) for column in range(1, width + 1)]
+    layout = Layout({width: columns}, words_of, expected=f"the header announces {width}")
+    table = numbers_of_rows(kept, layout, path).table()
+    wi, wo = _directions(table[:, :inputs], coordinates, kept.places, path)
     values = table[:, inputs : inputs + count]
     above = (wi[:, 2] > HORIZON) & (wo[:, 2] > HORIZON)
     if kind == "INV_STERADIAN_COSINE_FACTOR":
@@ -95,13 +82,21 @@ def read(path: Path) -> xr.Dataset:
     return make_samples(wi[above], wo[above], values[above], channels=CHANNELS.get(kind), source=path.name)
 
 
-def _header(lines: list[str]) -> dict[str, tuple[str, int]]:
-    """Return each key's value and line."""
-    entries = {}
+def _header(lines: list[str], path: Path) -> dict[str, tuple[str, int]]:
+    """Return each key's value and line; what is stated twice in different words is refused."""
+    entries: dict[str, tuple[str, int]] = {}
     for line, text in enumerate(lines, start=1):
-        words = text[1:].split(maxsplit=1)
-        if text.startswith("#") and words:
-            entries[words[0]] = (words[1].strip() if len(words) > 1 else "", line)
+        if not text.startswith("#"):
+            continue
+        key, value = (*text[1:].split(maxsplit=1), "", "")[:2]
+        stated, earlier = entries.get(key, (value.strip(), line))
+        if key in KEYS and stated != value.strip():
+            raise BadInput(
+                f"#{key} is not what line {earlier} says",
+                where=f"{path}: line {line}",
+                todo="remove one of them; two files in one are read one by one",
+            )
+        entries[key] = (value.strip(), line)
     return entries
 
 

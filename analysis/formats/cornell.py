@@ -13,9 +13,11 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
-from analysis.formats.text import looks_like_text, number, read_lines
+from analysis.formats.text import looks_like_text
+from analysis.formats.words import Words
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import xarray as xr
+
+Array = NDArray[np.float64]
 
 NAME = "Cornell .brdf"
 OPTIONS: tuple[str, ...] = ()
@@ -73,42 +77,38 @@ def declared(path: Path) -> AngleTable:
     return AngleTable(theta_i, phi_i, theta_o, phi_o, table[:, 4:], facts)
 
 
-def _rows(path: Path) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], list[int], list[float]]:
+def _rows(path: Path) -> tuple[Array, list[int], list[float]]:
     """Return the rows, the line where each begins, and the wavelengths."""
-    words = [
-        (word, line)
-        for line, text in enumerate(read_lines(path), start=1)
-        for word in text.split("#", 1)[0].split()
-    ]
-    count = int(number(words[0][0], where=f"{path}: line {words[0][1]}")) if words else 0
+    words = Words(path)
+    count = words.count("wavelengths", MOST_WAVELENGTHS)
     width = len(ANGLES) + count
-    body = len(words) - 1 - count
-    if not 1 <= count <= MOST_WAVELENGTHS or body < width:
-        raise BadInput(
-            f"announces {count} wavelengths, but {max(len(words) - 1, 0)} numbers follow",
-            where=f"{path}: line {words[0][1] if words else 1}",
-            todo="copy the file again",
-        )
-    wavelengths = [number(word, where=f"{path}: line {line}") for word, line in words[1 : 1 + count]]
+    wavelengths = words.numbers(count, "all wavelengths")
+    _check_wavelengths(wavelengths, path)
+    body, first = words.left, words.taken
+    if not body:
+        raise BadInput("holds no rows", where=f"{path}: line {words.line(0)}", todo="copy the file again")
     if body % width:
         raise BadInput(
             f"the last row has {body % width} of {width} numbers",
-            where=f"{path}: line {words[-1][1]}",
+            where=f"{path}: line {words.line(first + body - 1)}",
             todo="the file is cut short or a number is missing: copy it again",
         )
     columns = [*ANGLES, *(f"{w:g} nm" for w in wavelengths)]
-    table = np.array(
-        [
-            number(word, where=f"{path}: line {line}, column {columns[index % width]}")
-            for index, (word, line) in enumerate(words[1 + count :])
-        ]
-    ).reshape(-1, width)
-    return table, [line for _, line in words[1 + count :: width]], wavelengths
+    table = words.numbers(body, "the end of its rows", columns=columns).reshape(-1, width)
+    return table, [words.line(first + row * width) for row in range(len(table))], wavelengths.tolist()
 
 
-def _check_angles(
-    table: np.ndarray[tuple[int, ...], np.dtype[np.float64]], lines: list[int], path: Path
-) -> None:
+def _check_wavelengths(wavelengths: Array, path: Path) -> None:
+    """Refuse what shows that numbers are missing or doubled before the rows."""
+    if (wavelengths <= 0.0).any() or len(np.unique(wavelengths)) < len(wavelengths):
+        raise BadInput(
+            "its wavelengths are not all different and positive",
+            where=f"{path}: the wavelengths",
+            todo="the file is damaged or counts its numbers wrongly: copy it again",
+        )
+
+
+def _check_angles(table: Array, lines: list[int], path: Path) -> None:
     polar = table[:, [0, 2]]
     wrong = np.argwhere((polar < 0.0) | (polar > np.pi))
     if wrong.size:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, unchanged
+from analysis.formats.tables import Layout, Rows, numbers_of_rows, require_once, rows_with_content, words_of
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -56,43 +57,17 @@ def read(path: Path) -> xr.Dataset:
     """
     lines = read_lines(path)
     to_radians, scale = _header(lines[1] if len(lines) > 1 else "", f"{path}: line 2")
-    incidence: list[float] | None = None
-    rows = []
-    for line, text in enumerate(lines[2:], start=3):
-        words = text.split()
-        if not words:
-            continue
-        names = INCIDENCE if len(words) == len(INCIDENCE) else COLUMNS
-        if len(words) != len(names):
-            raise BadInput(
-                f"has {len(words)} numbers, not 2 (incidence) or 3 (scatter)",
-                where=f"{path}: line {line}",
-                todo="correct or remove the line",
-            )
-        values = [
-            number(word, where=f"{path}: line {line}, column {name}")
-            for name, word in zip(names, words, strict=True)
-        ]
-        polar = values[0] * to_radians
-        if not 0.0 <= polar <= np.pi / 2 + 1e-9:
-            raise BadInput(
-                f"{words[0]} is no polar angle of reflection",
-                where=f"{path}: line {line}, column {names[0]}",
-                todo="only the half space of reflection, 0 to 90 deg, is read",
-            )
-        if names is INCIDENCE:
-            incidence = values
-        elif incidence is None:
-            raise BadInput(
-                "scatter without an incidence before it",
-                where=f"{path}: line {line}",
-                todo="write theta_i and phi_i on a line of their own first",
-            )
-        else:
-            rows.append([*incidence, *values])
-    if not rows:
+    layout = Layout(
+        {len(names): names for names in (INCIDENCE, COLUMNS)},
+        words_of,
+        expected="not 2 (incidence) or 3 (scatter)",
+        todo="correct or remove the line",
+    )
+    rows = numbers_of_rows(rows_with_content(lines, start=2, comment=""), layout, path)
+    _check_polar(rows, to_radians, path)
+    if not (rows.widths == len(COLUMNS)).any():
         raise BadInput("holds no samples", where=f"{path}: line {len(lines)}", todo="copy the file again")
-    theta_i, phi_i, theta_s, phi_s, value = np.array(rows).T
+    theta_i, phi_i, theta_s, phi_s, value = _scatter(rows, path).T
     return make_samples(
         spherical_to_direction(theta_i * to_radians, phi_i * to_radians + np.pi),
         spherical_to_direction(theta_s * to_radians, phi_s * to_radians),
@@ -100,6 +75,34 @@ def read(path: Path) -> xr.Dataset:
         channels=["BRDF"],
         source=path.name,
     )
+
+
+def _check_polar(rows: Rows, to_radians: float, path: Path) -> None:
+    polar = rows.numbers[rows.starts()]
+    wrong = np.flatnonzero(~((polar >= 0.0) & (polar * to_radians <= np.pi / 2 + 1e-9)))
+    if wrong.size:
+        column = (INCIDENCE if rows.widths[wrong[0]] == len(INCIDENCE) else COLUMNS)[0]
+        raise BadInput(
+            f"{polar[wrong[0]]:g} is no polar angle of reflection",
+            where=f"{path}: line {rows.places[wrong[0]]}, column {column}",
+            todo="only the half space of reflection, 0 to 90 deg, is read",
+        )
+
+
+def _scatter(rows: Rows, path: Path) -> Array:
+    """Return a row (theta_i, phi_i, theta_s, phi_s, f) for each row of scatter."""
+    start, scatter = rows.starts(), rows.widths == len(COLUMNS)
+    if scatter[0]:
+        raise BadInput(
+            "scatter without an incidence before it",
+            where=f"{path}: line {rows.places[0]}",
+            todo="write theta_i and phi_i on a line of their own first",
+        )
+    latest = np.maximum.accumulate(np.where(scatter, 0, np.arange(len(scatter))))
+    incidence = rows.numbers[start[latest[scatter]][:, None] + np.arange(len(INCIDENCE))]
+    table = np.hstack([incidence, rows.numbers[start[scatter][:, None] + np.arange(len(COLUMNS))]])
+    require_once(table[:, :-1], rows.places[scatter], path)
+    return table
 
 
 def write(samples: xr.Dataset, path: Path) -> Loss:

@@ -17,7 +17,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.formats.text import number
+from analysis.formats.tables import bulk
+from analysis.formats.text import LARGEST_TEXT_BYTES, number
 from analysis.samples import make_samples
 from rig.angles import mirror, spherical_to_direction
 from rig.errors import BadInput
@@ -31,7 +32,6 @@ Array = NDArray[np.float64]
 
 NAME = "WINDOW XML"
 OPTIONS = ("side",)
-LARGEST_BYTES = 32 * 1024**2
 MOST_ELEMENTS = 20_000
 MOST_PATCHES = 2_000
 SIDES = {"front": "Reflection Front", "back": "Reflection Back"}
@@ -113,7 +113,7 @@ def read(path: Path, *, side: str | None = None) -> xr.Dataset:
 def _parse(path: Path) -> ET.Element:
     """Parse what has no document type: without one there are no entities to expand or to fetch."""
     size = path.stat().st_size
-    if size > LARGEST_BYTES:
+    if size > LARGEST_TEXT_BYTES:
         raise BadInput(f"is {size / 1024**2:.0f} MB of XML, more than gonio reads", where=str(path))
     content = path.read_bytes()
     parser = expat.ParserCreate()
@@ -190,7 +190,11 @@ def _matrix(block: ET.Element, band: str, bases: dict[str, Array], path: Path) -
             where=f"{where}, ScatteringData",
             todo="the file is damaged: copy it again",
         )
-    values = np.array([number(word, where=f"{where}, value {i}") for i, word in enumerate(words, start=1)])
+    values = bulk(words)
+    if values is None:
+        values = np.array(
+            [number(word, where=f"{where}, value {i}") for i, word in enumerate(words, start=1)]
+        )
     return _Matrix(band, side, incident, exitant, values)
 
 

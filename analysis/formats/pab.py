@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, unchanged
 from analysis.formats.scattered import usable
+from analysis.formats.tables import Layout, Lines, numbers_of_rows, words_of
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -42,6 +43,7 @@ SUFFIX = ".pab"
 WITH_COSINE = "dsf"
 WITHOUT_COSINE = ("bsdf", "brdf", "btdf")
 COLOURS = {"cie-y": ["Y"], "cie-xyz": ["X", "Y", "Z"]}
+KEYS = ("format", "intheta", "inphi", "incident_angle", "upphi", "colorimetry")
 LOWEST_COSINE = 1e-3
 NEAR_GRAZING = 1
 """Flag of a value with cosine, so near to the surface that the cosine cannot be taken out."""
@@ -57,10 +59,10 @@ _ENTRY = re.compile(r"#\s*(\w+):?\s*(.*)")
 
 
 class _Block(NamedTuple):
-    """One file's worth: header entries and rows, each row with its line."""
+    """One file's worth: header entries, rows, and the line where it begins."""
 
     header: dict[str, str]
-    rows: list[tuple[int, list[str]]]
+    rows: Lines
     line: int
 
 
@@ -191,16 +193,24 @@ def _blocks(path: Path) -> list[_Block]:
     for line, text in enumerate(read_lines(path), start=1):
         if text.startswith("#"):
             if not in_header:
-                blocks.append(_Block({}, [], line))
+                blocks.append(_Block({}, Lines([], []), line))
             in_header = True
             entry = _ENTRY.match(text)
             if entry:
-                blocks[-1].header[entry[1].lower()] = entry[2].strip()
+                name, value = entry[1].lower(), entry[2].strip()
+                if name in KEYS and blocks[-1].header.get(name, value) != value:
+                    raise BadInput(
+                        f"states {name} a second time, and otherwise",
+                        where=f"{path}: line {line}",
+                        todo="remove one of them; rows are missing if another file begins here",
+                    )
+                blocks[-1].header[name] = value
         elif text.strip():
             if not blocks:
                 raise BadInput("starts without a header", where=f"{path}: line {line}", todo="copy it again")
             in_header = False
-            blocks[-1].rows.append((line, text.split()))
+            blocks[-1].rows.texts.append(text)
+            blocks[-1].rows.places.append(line)
     return blocks
 
 
@@ -209,29 +219,21 @@ def _parse(block: _Block, path: Path) -> tuple[Array, Array, Array, NDArray[np.i
     where = f"{path}: line {block.line}"
     cosine = _with_cosine(block.header, where)
     theta_i, phi_i = _incidence(block.header, where)
-    if not block.rows:
+    if not block.rows.texts:
         raise BadInput("no samples follow the header", where=where, todo="copy the file again")
     colour = block.header.get("colorimetry", "").lower()
-    names = COLOURS.get(colour) or [str(i) for i in range(len(block.rows[0][1]) - 2)]
-    width = 2 + len(names)
-    for line, words in block.rows:
-        if len(words) != width or width < 3:
-            raise BadInput(
-                f"has {len(words)} columns, not {max(width, 3)}",
-                where=f"{path}: line {line}",
-                todo="correct or remove the row",
-            )
-    table = np.array(
-        [
-            [number(word, where=f"{path}: line {line}, column {c}") for c, word in enumerate(words, start=1)]
-            for line, words in block.rows
-        ]
+    names = COLOURS.get(colour) or [str(i) for i in range(len(block.rows.texts[0].split()) - 2)]
+    width = max(2 + len(names), 3)
+    columns = [str(column) for column in range(1, width + 1)]
+    layout = Layout(
+        {width: columns}, words_of, f"not {width}", todo="correct or remove the row", what="columns"
     )
+    table = numbers_of_rows(block.rows, layout, path).table()
     wrong = np.flatnonzero((table[:, 0] < 0.0) | (table[:, 0] > 180.0))
     if wrong.size:
         raise BadInput(
             f"{table[wrong[0], 0]:g} is not a polar angle from 0 to 180 deg",
-            where=f"{path}: line {block.rows[wrong[0]][0]}, column 1",
+            where=f"{path}: line {block.rows.places[wrong[0]]}, column 1",
             todo="this format holds degrees",
         )
     wo = spherical_to_direction(np.radians(table[:, 0]), np.radians(table[:, 1]))

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.formats.rt300s import Export, readings_of, reduced
+from analysis.formats.tables import bulk
 from analysis.formats.text import looks_like_text, number, read_lines
 from rig.errors import BadInput
 
@@ -208,12 +209,14 @@ def _numbers(row: tuple[int, list[str]], path: Path, *, skip: int = 0, width: in
     line, cells = row
     while cells and not cells[-1]:
         cells = cells[:-1]
-    values = np.array(
-        [
-            number(cell, where=f"{path}: line {line}, column {column}")
-            for column, cell in enumerate(cells[skip:], start=skip + 1)
-        ]
-    )
+    values = bulk(cells[skip:])
+    if values is None:
+        values = np.array(
+            [
+                number(cell, where=f"{path}: line {line}, column {column}")
+                for column, cell in enumerate(cells[skip:], start=skip + 1)
+            ]
+        )
     if width is not None and len(values) != width:
         raise BadInput(
             f"has {len(values)} numbers, not {width}",

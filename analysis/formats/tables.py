@@ -38,6 +38,10 @@ class Rows(NamedTuple):
     places: Indices
     labels: list[str]
 
+    def starts(self) -> Indices:
+        """Return the place of each row's first number."""
+        return np.cumsum(self.widths) - self.widths
+
     def table(self) -> Array:
         """Return rows of one width as a table (rows, columns)."""
         return self.numbers.reshape(len(self.widths), -1)
@@ -162,6 +166,34 @@ def numbers_of_rows(lines: Lines, layout: Layout, path: Path) -> Rows:
         np.array(lines.places, dtype=np.intp),
         labels,
     )
+
+
+def require_once(directions: Array, places: Indices, path: Path) -> None:
+    """Refuse a table that gives a pair of directions twice, where its format has each once.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (rows, angles)
+        The angles as they are written.
+    places : ndarray of int, shape (rows,)
+        Line of each row.
+    path : Path
+        The file, for the error.
+
+    Raises
+    ------
+    BadInput
+        If two rows have the same angles; names both lines.
+    """
+    order = np.lexsort((places, *directions.T))
+    same = (np.diff(directions[order], axis=0) == 0.0).all(axis=1)
+    if same.any():
+        later = places[order[1:][same]].argmin()
+        raise BadInput(
+            f"gives the directions of line {places[order[:-1][same]][later]} again",
+            where=f"{path}: line {places[order[1:][same]][later]}",
+            todo="a line is doubled, or the one that begins another incidence is missing: copy it again",
+        )
 
 
 def _wrong_width(sizes: Sequence[int], places: Sequence[int], layout: Layout, path: Path) -> BadInput:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from analysis.formats.tables import bulk
 from analysis.formats.text import number, read_lines
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+
+CHUNK = 65536
+"""Numbers that are converted at a time."""
 
 
 class Word(NamedTuple):
@@ -41,11 +49,11 @@ class Words:
 
     def __init__(self, path: Path, *, comment: str = "#") -> None:
         self._path = path
-        self._words = [
-            Word(text, line, column)
-            for line, content in enumerate(read_lines(path), start=1)
-            for column, text in enumerate(content.split(comment, 1)[0].split(), start=1)
-        ]
+        self._words: list[str] = []
+        self._ends = array("q")  # how many words there are up to the end of each line
+        for text in read_lines(path):
+            self._words += (text.split(comment, 1)[0] if comment in text else text).split()
+            self._ends.append(len(self._words))
         self._at = 0
 
     @property
@@ -53,13 +61,18 @@ class Words:
         """How many words remain."""
         return len(self._words) - self._at
 
+    @property
+    def taken(self) -> int:
+        """How many words were taken."""
+        return self._at
+
     def where(self, word: Word) -> str:
         """Name a word's place."""
         return f"{self._path}: line {word.line}, column {word.column}"
 
     def peek(self) -> str:
         """Return the next word without taking it; empty at the end."""
-        return self._words[self._at].text if self.left else ""
+        return self._words[self._at] if self.left else ""
 
     def take(self, what: str) -> Word:
         """Take the next word.
@@ -72,7 +85,7 @@ class Words:
         if not self.left:
             raise self._ends_before(what)
         self._at += 1
-        return self._words[self._at - 1]
+        return self._word(self._at - 1)
 
     def expect(self, *known: str) -> Word:
         """Take the next word, which must be one of these.
@@ -108,8 +121,17 @@ class Words:
             )
         return int(word.text)
 
-    def numbers(self, count: int, what: str) -> NDArray[np.float64]:
+    def numbers(self, count: int, what: str, *, columns: Sequence[str] = ()) -> NDArray[np.float64]:
         """Take finite numbers.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        what : str
+            What they are, for the error that there are fewer.
+        columns : sequence of str
+            What errors call them, over and over; by default their place on the line.
 
         Raises
         ------
@@ -119,12 +141,36 @@ class Words:
         if self.left < count:
             self._at = len(self._words)
             raise self._ends_before(what)
-        chosen = self._words[self._at : self._at + count]
-        self._at += count
-        return np.array([number(word.text, where=self.where(word)) for word in chosen])
+        first, self._at = self._at, self._at + count
+        found = np.empty(count)
+        for start in range(first, self._at, CHUNK):
+            chosen = self._words[start : min(start + CHUNK, self._at)]
+            values = bulk(chosen)
+            if values is None:
+                values = np.array(
+                    [
+                        number(text, where=self._where_number(place, first, columns))
+                        for place, text in enumerate(chosen, start=start)
+                    ]
+                )
+            found[start - first : start - first + len(chosen)] = values
+        return found
+
+    def line(self, place: int) -> int:
+        """Return the line of a word, both counted from its file's begin: words from 0, lines from 1."""
+        return bisect_right(self._ends, place) + 1
+
+    def _word(self, place: int) -> Word:
+        line = self.line(place)
+        return Word(self._words[place], line, place - (self._ends[line - 2] if line > 1 else 0) + 1)
+
+    def _where_number(self, place: int, first: int, columns: Sequence[str]) -> str:
+        if not columns:
+            return self.where(self._word(place))
+        return f"{self._path}: line {self.line(place)}, column {columns[(place - first) % len(columns)]}"
 
     def _ends_before(self, what: str) -> BadInput:
-        last = self._words[-1].line if self._words else 1
+        last = self.line(len(self._words) - 1) if self._words else 1
         return BadInput(
             f"the file ends before {what}",
             where=f"{self._path}: line {last}",

@@ -108,6 +108,13 @@ def read(path: Path) -> xr.Dataset:
     grid, names = _header(words, path)
     shape = tuple(len(angles) for angles in grid)
     values = np.stack([_channel(words, name, shape) for name in names], axis=-1)
+    if words.left:
+        word = words.take("nothing")
+        raise BadInput(
+            f"'{word.text[:40]}' follows the end of the data",
+            where=words.where(word),
+            todo="the header counts too few angles, or another file follows: copy it again",
+        )
     rotation, incidence, azimuth, radial = (
         np.radians(angles).ravel() for angles in np.meshgrid(*grid, indexing="ij")
     )
@@ -138,6 +145,8 @@ def _header(words: Words, path: Path) -> tuple[Grid, tuple[str, ...]]:
     names: tuple[str, ...] = ()
     while words.left and words.peek() not in {"Monochrome", "TristimulusX"}:
         word = words.take("a word of the header")
+        if word.text in lists:
+            raise BadInput(f"states {word.text} a second time", where=words.where(word), todo="remove one")
         if word.text in LISTS:
             lists[word.text] = words.numbers(words.count("angles", MOST_ANGLES), f"all of {word.text}")
         elif word.text == "Symmetry":
