@@ -214,7 +214,13 @@ class Machine:
         names = {joint.id: joint.name for joint in rig.joints}
         bus = ServoBus(rig.ports.servos, rig.bus.baud, names=names)
         self._exits.append(bus.close)
-        servos = Servos(bus, specs, torque_on_stop=rig.bus.torque_on_stop, settle_reads=rig.bus.settle_reads)
+        servos = Servos(
+            bus,
+            specs,
+            torque_on_stop=rig.bus.torque_on_stop,
+            settle_reads=rig.bus.settle_reads,
+            watchdog_s=rig.bus.watchdog_s,
+        )
         self.handshake: Handshake = servos.attach()
         self._servos = servos
         self.arms = Arms(rig, servos, self._stopped.is_set)

@@ -40,6 +40,12 @@ class Bus(Part):
     settle_reads: int = Field(
         3, ge=1, le=100, description="equal position readings in a row that count as arrived, 1 to 100"
     )
+    watchdog_s: float = Field(
+        1.0,
+        ge=0,
+        le=2.5,
+        description="arms on their way stop when the bus is silent for so long, 0 to 2.5 s; 0: never",
+    )
 
 
 class Joint(Part):

@@ -10,6 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rig import bus_watchdog
 from rig.errors import DeviceLost, GonioError, Refused, Unsafe
 from rig.handshake import Handshake, ServoSpec, configure, describe_errors, shake_hands
 from rig.stop_report import PartStop, StopOutcome
@@ -73,6 +74,8 @@ class Servos:
         What a stop does with torque.
     settle_reads : int
         Quiet polls in a row that count as arrived.
+    watchdog_s : float
+        Silence of the bus after which arms on their way stop by themselves; 0 for never.
     """
 
     def __init__(
@@ -82,12 +85,14 @@ class Servos:
         *,
         torque_on_stop: str = "hold",
         settle_reads: int = 3,
+        watchdog_s: float = 1.0,
     ) -> None:
         self.bus = bus
         self.specs = {spec.servo_id: spec for spec in specs}
         self.ids = tuple(self.specs)
         self._torque_after_stop = 0 if torque_on_stop == "off" else 1
         self._settle_reads = settle_reads
+        self._watchdog_s = watchdog_s
 
     def handshake(self) -> Handshake:
         """Compare expected and found; raises only when the port is gone."""
@@ -103,6 +108,7 @@ class Servos:
         """
         handshake = self.handshake()
         handshake.require()
+        bus_watchdog.disarm(self.bus, self.ids)  # one that tripped refuses every goal
         configure(self.bus, handshake)
         self._adopt(self.bus.sync_read(self.ids, MOTION), handshake)
         for servo_id in self.ids:
@@ -177,8 +183,9 @@ class Servos:
         begin = self.bus.sync_read(self.ids, MOTION)
         self._require_healthy(begin)
         start = {servo_id: begin[servo_id]["present_position"] for servo_id in goals}
-        self.bus.sync_write("goal_position", goals)
-        return self._arrive(goals, start, cancelled)
+        with bus_watchdog.armed(self.bus, self.ids, self._watchdog_s):
+            self.bus.sync_write("goal_position", goals)
+            return self._arrive(goals, start, cancelled)
 
     def halt(self) -> tuple[PartStop, ...]:
         """Stop every servo where it is: goal := present, torque as the rig file says, read back.
@@ -267,7 +274,7 @@ class Servos:
         if resent >= RESEND_LIMIT:
             servo_id, goal = next(iter(goals.items()))
             raise Unsafe(
-                f"does not take the goal {goal} ticks",
+                f"does not take the goal {goal} ticks{self._torque_hint(servo_id)}",
                 where=self.bus.label(servo_id),
                 todo="run 'gonio rig check': its torque, mode or limits may have changed",
             )
@@ -297,6 +304,8 @@ class Servos:
 
     def _torque_hint(self, servo_id: int) -> str:
         try:
+            if self.bus.read(servo_id, bus_watchdog.REGISTER) == bus_watchdog.TRIPPED:
+                return ", its bus watchdog has tripped"
             return "" if self.bus.read(servo_id, "torque_enable") else ", its torque is off"
         except DeviceLost:
             return ", and it no longer answers"
