@@ -1,10 +1,10 @@
 """The emissivity of the same surface against 1 - albedo, where the samples say what the albedo is.
 
 Of an opaque surface the directional emissivity is 1 less the directional-hemispherical reflectance
-(Kirchhoff 1860), and reciprocity lets light and view change places. Samples in one plane say nothing of the
-rest of the hemisphere, unless both sides of the normal were measured and the surface is taken as isotropic
-with values between those of the two sides: where these bounds lie near together they are used, and elsewhere
-the comparison is refused.
+(Kirchhoff 1860), and reciprocity lets light and view change places. Samples in one plane say nothing of
+the rest of the hemisphere by themselves. Of an isotropic surface, values on both sides of the normal bound
+it, and values on one side leave what several descriptions of the rest agree on (`analysis.checks.in_plane`).
+Where these lie near together they are used, and elsewhere the comparison is refused.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from analysis.checks.finding import Finding, judged, not_tested
 from analysis.checks.hemisphere import directional_albedo
+from analysis.checks.in_plane import FEWEST_DIRECTIONS, InPlane, Range
 from analysis.formats.text import number, read_lines
 from analysis.pairing import INCIDENCE_BIN_DEG, Array, Indices, Usable, incidences
 from rig.errors import BadInput
@@ -32,6 +33,10 @@ LARGEST_GAP_DEG = 25.0
 WIDEST = 0.1
 """Largest half-width of the bounds of an albedo that is still worth comparing."""
 FEWEST_IN_PLANE = 5
+OFF_PLANE = 0.02
+ONE_SIDE = "the samples lie in the plane of incidence, on one side of the normal"
+IMPOSSIBLE = 1.02
+"""An albedo beyond this is none: the description is wrong, not the emissivity."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +106,7 @@ def emissivity(usable: Usable, known: Emissivity) -> Finding:
     """Compare emissivity and 1 - albedo, angle by angle: the largest difference over its u counts."""
     name, quantity = "emissivity", "largest |emissivity + albedo - 1| over its uncertainty"
     worst, where, tested, reasons = -1.0, "", 0, []
-    for theta_deg, view in _directions(usable):
-        found = _albedo(view)
+    for theta_deg, found in _albedos(_directions(usable)):
         if isinstance(found, str):
             reasons.append(found)
             continue
@@ -117,7 +121,7 @@ def emissivity(usable: Usable, known: Emissivity) -> Finding:
                 f"u {np.hypot(u, u_albedo):.3f}"
             )
     if not tested:
-        why = max(set(reasons), key=reasons.count) if reasons else "no direction has samples enough"
+        why = max(reasons, key=reasons.count) if reasons else "no direction has samples enough"
         return not_tested(name, quantity, LIMITS, 0, f"refused: {why}")
     meaning = "scale, reference or a cosine is wrong, or the surface is not opaque, or not the same one"
     return judged(name, quantity, worst, LIMITS, tested, meaning=meaning, where=where)
@@ -137,16 +141,32 @@ def _rows(usable: Usable, rows: Indices) -> Usable:
     return Usable(*(None if column is None else column[rows] for column in usable))  # type: ignore[arg-type]
 
 
-def _albedo(view: Usable) -> tuple[float, float] | str:
-    """Return albedo and uncertainty for one direction, or why not."""
-    if len(view.wi) < FEWEST_IN_PLANE:
-        return "too few samples"
-    if np.ptp(view.theta_i) > np.radians(INCIDENCE_BIN_DEG):
-        return "directions differ too much"
+def _albedos(directions: list[tuple[float, Usable]]) -> list[tuple[float, tuple[float, float] | str]]:
+    """Return albedo and uncertainty for each direction, or why not."""
+    found, modelled = [], None
+    for theta_deg, view in directions:
+        if len(view.wi) < FEWEST_IN_PLANE:
+            albedo: tuple[float, float] | str = "too few samples"
+        elif np.ptp(view.theta_i) > np.radians(INCIDENCE_BIN_DEG):
+            albedo = "directions differ too much"
+        elif np.max(np.abs(np.sin(view.turn)) * np.sin(view.theta_o)) >= OFF_PLANE:
+            albedo = _over_the_hemisphere(view)
+        elif _spanned(view, lit=True) and _spanned(view, lit=False):
+            albedo = _between_the_sides(view)
+        elif len(directions) < FEWEST_DIRECTIONS or not _spanned(view, lit=False):
+            albedo = (
+                "the samples lie in the plane of incidence, on one side of the normal: the rest is unknown"
+            )
+        else:
+            modelled = modelled or InPlane(_together([each for _, each in directions]))
+            albedo = _judged_range(modelled.albedo(view))
+        found.append((theta_deg, albedo))
+    return found
+
+
+def _over_the_hemisphere(view: Usable) -> tuple[float, float] | str:
+    """Integrate between the samples; the part beyond them is taken as their mean."""
     every = np.arange(len(view.wi))
-    aside = np.abs(np.sin(view.turn)) * np.sin(view.theta_o)
-    if np.max(aside) < 0.02:
-        return _in_plane(view)
     albedo, share, _ = directional_albedo(view, every)
     if share < ENOUGH:
         return f"samples enclose {share:.0%} of the projected hemisphere"
@@ -155,19 +175,24 @@ def _albedo(view: Usable) -> tuple[float, float] | str:
     return albedo / share, float(np.hypot(albedo / share - albedo, coarse))
 
 
-def _in_plane(view: Usable) -> tuple[float, float] | str:
+def _side(view: Usable, *, lit: bool) -> Indices:
+    """Order the samples on the light's side of the normal, or on the other, by their angle from it."""
+    side = np.flatnonzero((np.abs(view.turn) < 0.5 * np.pi) == lit)
+    return np.asarray(side[np.argsort(view.theta_o[side])])
+
+
+def _spanned(view: Usable, *, lit: bool) -> bool:
+    """Whether one side of the plane has samples from the normal to the horizon without wide gaps."""
+    theta = view.theta_o[_side(view, lit=lit)]
+    gaps = np.diff(np.concatenate([[0.0], theta, [0.5 * np.pi]]))
+    return len(theta) >= FEWEST_IN_PLANE and float(np.max(gaps)) <= np.radians(LARGEST_GAP_DEG)
+
+
+def _between_the_sides(view: Usable) -> tuple[float, float] | str:
     """Bound the albedo of an isotropic surface by the values on both sides of the normal."""
-    lit = np.abs(view.turn) < np.pi / 2.0
-    sides = []
-    for side in (lit, ~lit):
-        order = np.flatnonzero(side)[np.argsort(view.theta_o[side])]
-        theta = view.theta_o[order]
-        gaps = np.diff(np.concatenate([[0.0], theta, [np.pi / 2.0]]))
-        if len(theta) < FEWEST_IN_PLANE or np.max(gaps) > np.radians(LARGEST_GAP_DEG):
-            return "the samples lie in the plane of incidence, on one side of the normal: the rest is unknown"
-        sides.append((theta, view.f_r[order].max(axis=1)))
-    theta = np.linspace(0.0, np.pi / 2.0, 181)
-    values = np.stack([np.interp(theta, *side) for side in sides])
+    theta = np.linspace(0.0, 0.5 * np.pi, 181)
+    rows = [_side(view, lit=lit) for lit in (True, False)]
+    values = np.stack([np.interp(theta, view.theta_o[row], view.f_r[row].max(axis=1)) for row in rows])
     weight = 2.0 * np.pi * np.sin(theta) * np.cos(theta)
     low, high = (
         float(np.trapezoid(bound * weight, theta)) for bound in (values.min(axis=0), values.max(axis=0))
@@ -176,3 +201,20 @@ def _in_plane(view: Usable) -> tuple[float, float] | str:
         return f"in the plane of incidence only: the albedo lies anywhere in {low:.2f} to {high:.2f}"
     # Anywhere between the bounds alike: a rectangular distribution.
     return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
+
+
+def _judged_range(albedo: Range) -> tuple[float, float] | str:
+    """Return the middle and its uncertainty where that decides something, else why not."""
+    if albedo.low > IMPOSSIBLE:
+        return (
+            f"an isotropic surface with these values would reflect {albedo.low:.2g} to {albedo.high:.2g} "
+            "times the light it gets: the surface is not isotropic, or the scale is wrong"
+        )
+    if albedo.u > WIDEST:
+        return f"{ONE_SIDE}: the rest leaves an albedo of {albedo.low:.2f} to {albedo.high:.2f}"
+    return albedo.middle, albedo.u
+
+
+def _together(views: list[Usable]) -> Usable:
+    columns = zip(*views, strict=True)
+    return Usable(*(None if column[0] is None else np.concatenate(column) for column in columns))

@@ -7,6 +7,7 @@ import pytest
 
 from analysis.checks.emissivity import Emissivity, emissivity, read_emissivity
 from analysis.checks.finding import Verdict
+from analysis.models import MODELS
 from analysis.pairing import usable_samples
 from analysis.samples import make_samples, read
 from rig.angles import spherical_to_direction
@@ -66,12 +67,53 @@ def test_given_by_a_person(tmp_path):
         read_emissivity(str(path), path, None)
 
 
-@pytest.mark.realdata
-def test_mid_infrared_is_refused(shared_data):
-    """Catches a hemispherical reflectance from the published half plane."""
-    table = shared_data / "mwir" / "emissivity.csv"
-    samples = read(shared_data / "mwir" / "radiance.csv", material="Referenzlack (Rau)")
-    known = read_emissivity(str(table), table, "Referenzlack (Rau)")
-    found = emissivity(usable_samples(samples), known)
+def _one_side(evaluate, lights_deg=(15.0, 30.0, 45.0, 60.0)):
+    theta_i, theta_o = np.meshgrid(np.radians(lights_deg), np.radians(np.arange(1.0, 86.0, 2.0)))
+    wi = spherical_to_direction(theta_i.ravel(), 0.0)
+    wo = spherical_to_direction(theta_o.ravel(), np.pi)
+    return usable_samples(make_samples(wi, wo, evaluate(wi, wo)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0, 8.0])
+def test_one_side_of_the_plane_allows_a_rough_surface(scale):
+    """Catches a modelled albedo that is off, too sure, or compared although no surface reflects so much."""
+    paint = MODELS["ggx"](kd=0.2, ks=1.0, alpha=0.4, f0=0.05)
+    usable = _one_side(lambda wi, wo: scale * paint.evaluate(wi, wo)[:, :1])
+    # The albedo of this paint by a fine sum: 0.239 at 15 and at 30 deg.
+    found = emissivity(usable, _known(1.0 - 0.239))
+    if scale == 1.0:
+        assert found.verdict is Verdict.PASS
+        assert found.value < 1.5
+        assert found.count >= 2
+    elif scale == 2.0:
+        assert found.verdict is not Verdict.PASS
+    else:
+        assert found.verdict is Verdict.NOT_TESTED
+        assert "times the light it gets" in found.meaning
+
+
+def test_one_side_of_the_plane_does_not_allow_a_mirror():
+    """Catches an albedo told from a peak that nobody resolved."""
+    mirror = MODELS["ggx"](kd=0.05, ks=1.0, alpha=0.02, f0=0.6)
+    usable = _one_side(lambda wi, wo: mirror.evaluate(wi, wo)[:, :1])
+    found = emissivity(usable, _known(0.4))
     assert found.verdict is Verdict.NOT_TESTED
-    assert found.meaning.startswith("refused: the samples lie in the plane of incidence")
+    assert "one side of the normal: the rest leaves" in found.meaning
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("material", "verdict", "words"),
+    [
+        ("Referenzlack (Rau)", Verdict.PASS, ""),
+        ("Alu sandgestrahlt", Verdict.NOT_TESTED, "one side of the normal: the rest leaves"),
+        ("Edelstahl gebürstet", Verdict.NOT_TESTED, "times the light it gets: the surface is not isotropic"),
+    ],
+)
+def test_mid_infrared(shared_data, material, verdict, words):
+    """Catches an albedo told where the published half plane allows none, or refused where it does."""
+    table = shared_data / "mwir" / "emissivity.csv"
+    samples = read(shared_data / "mwir" / "radiance.csv", material=material)
+    found = emissivity(usable_samples(samples), read_emissivity(str(table), table, material))
+    assert found.verdict is verdict
+    assert words in found.meaning
