@@ -49,7 +49,8 @@ def usable_samples(samples: xr.Dataset) -> Usable:
     """Return the samples without flags whose values are all finite."""
     keep = (samples["flags"].to_numpy() == 0).all(axis=1) & np.isfinite(samples["f_r"].to_numpy()).all(axis=1)
     wi, wo, f_r = (samples[name].to_numpy()[keep] for name in ("wi", "wo", "f_r"))
-    u = samples["u_f_r"].to_numpy()[keep] if "u_f_r" in samples else None
+    stated = next((samples[name] for name in ("u_f_r", "u_repeatability") if name in samples), None)
+    u = None if stated is None else stated.to_numpy()[keep]
     return usable_from(wi, wo, f_r, u, np.flatnonzero(keep))
 
 

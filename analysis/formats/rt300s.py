@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples import make_samples
-from rig.angles import spherical_to_direction
+from analysis.samples import UNITS
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -37,8 +36,8 @@ MAGIC = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 ROWS = ("Incidence", "Azimuth", "Receive", "RT")
 LARGEST_BYTES = 128 * 1024**2
 LABELS_WITHIN = 64
-SHADOW_RECEIVE_DEG = 10.0
-SHADOW_AZIMUTH_DEG = 30.0
+RECIPE = "rt300s"
+"""The chain that readings go through, but for the average of files."""
 # What xlrd raises for files that are cut or changed; its own classes are added when it is imported.
 _DAMAGE = (
     struct.error, LookupError, ValueError, AssertionError, OSError, TypeError, AttributeError,
@@ -59,7 +58,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = False) -> xr.Dataset:
-    """Read one channel of samples, each reading by itself, without uncertainties.
+    """Read one channel of samples, each reading by itself.
 
     Parameters
     ----------
@@ -74,9 +73,10 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
     Returns
     -------
     xarray.Dataset
-        Readings shadowed by the detector's arm, and those along the surface, have a flag. The detector's
-        noise alone would understate the uncertainty of single readings, so none is stated here;
-        `analysis.recipes` states it, with the files' repeatability.
+        Readings shadowed by the detector's arm, and those along the surface, have a flag. `u_repeatability`
+        is the blank's noise and at least what the recipe `rt300s` states of one file: errors of mount and
+        alignment, which neighbours share, so that it is no weight for a fit. Several files of one sample
+        are compared by `analysis.recipes`.
 
     Raises
     ------
@@ -91,26 +91,21 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
 def reduced(
     readings: Readings, source: str, *, blank: Readings | None = None, floor_shift: bool = False
 ) -> xr.Dataset:
-    """Bring readings to samples, each by itself; see `read`."""
-    from analysis.recipes.steps import Blank, Cosine, FloorShift, Given, Reference, ShadowCut, Step
+    """Bring readings to samples by the recipe that ships, each reading by itself; see `read`."""
+    from analysis.recipes.readings import to_samples
+    from analysis.recipes.recipe import load
+    from analysis.recipes.steps import FloorShift, Given
 
-    steps: list[Step] = [Blank(name="blank")] if blank is not None else []
-    steps += [FloorShift(name="floor_shift")] if floor_shift else []
-    steps += [
-        ShadowCut(name="shadow_cut", polar_deg=SHADOW_RECEIVE_DEG, azimuth_deg=SHADOW_AZIMUTH_DEG),
-        Reference(name="reference"),
-        Cosine(name="cosine"),
-    ]
-    given = Given(blank=blank)
+    left_out = {"average"} | ({"blank"} if blank is None else set())
+    steps = [step for step in load(RECIPE).step if step.name not in left_out]
+    if floor_shift:
+        steps.insert(0 if blank is None else 1, FloorShift(name="floor_shift"))
     for step in steps:
-        readings = step.apply(readings, given)
-    return make_samples(
-        spherical_to_direction(readings.theta_i, readings.phi_i),
-        spherical_to_direction(readings.theta_o, readings.phi_o),
-        readings.value,
-        channels=readings.channels,
-        flags=readings.flags,
-        source=source,
+        readings = step.apply(readings, Given(blank=blank))
+    samples = to_samples(readings, source=source)
+    stated = samples["u_f_r"].assign_attrs(units=UNITS["u_repeatability"])
+    return samples.drop_vars([name for name in samples if name.startswith("u_")]).assign(
+        u_repeatability=stated
     )
 
 

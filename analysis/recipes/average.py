@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities
+from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities, with_floor
 from analysis.recipes.repeatability import Repeatability, repeatability
 from analysis.recipes.steps import Given, Step
 
@@ -22,7 +22,8 @@ class Average(Step):
 
     Independent errors fall with the root of the number; what readings share (a blank's reading, the
     reference) does not. Where several files are averaged, their repeatability is found, and the stated
-    uncertainty of the average is at least what it is for so many files.
+    uncertainty of the average is at least what it is for so many files. Where both sides of the plane of
+    incidence are averaged, it is at least what their difference allows in the same way: tilt, anisotropy.
     """
 
     name: Literal["average"]
@@ -37,9 +38,13 @@ class Average(Step):
         """Average, and keep one reading of each place."""
         place = _places(readings, mirror=self.mirror)
         cells = _averaged(readings, place, np.ones(readings.value.shape))
-        found = _between_files(readings, place)
-        if found is not None and self.repeatability_floor:
-            cells = _with_floor(cells, found, _files_in(readings, place))
+        found = _between(readings, place, readings.file)
+        sides = (readings.between < 0.0).astype(np.int64)
+        causes = [(readings.file, found)]
+        causes += [(sides, _between(readings, place, sides))] if self.mirror else []
+        for number, spread in causes:
+            if spread is not None and self.repeatability_floor:
+                cells = with_floor(cells, spread.standard_deviation, _counted(readings, place, number))
         if self.mirror:
             kept = _first_azimuths(readings, place)
             angles = {name: getattr(readings, name)[kept] for name in ANGLES}
@@ -170,18 +175,18 @@ def _summed(values: Array, index: Indices, count: int) -> Array:
     return total
 
 
-def _files_in(readings: Readings, place: Indices) -> Array:
-    """Return how many files have a usable reading of each place, shape (places, C)."""
-    files = np.zeros((int(place.max()) + 1, readings.value.shape[1]))
-    for number in np.unique(readings.file):
-        used = readings.usable & (readings.file == number)[:, None]
-        files += _summed(used.astype(np.float64), place, len(files)) > 0.0
-    return files
+def _counted(readings: Readings, place: Indices, of: Indices) -> Array:
+    """Return how many files, or sides, have a usable reading of each place, shape (places, C)."""
+    counts = np.zeros((int(place.max()) + 1, readings.value.shape[1]))
+    for number in np.unique(of):
+        used = readings.usable & (of == number)[:, None]
+        counts += _summed(used.astype(np.float64), place, len(counts)) > 0.0
+    return counts
 
 
-def _between_files(readings: Readings, place: Indices) -> Repeatability | None:
-    """Compare the files' means of each place, over all channels."""
-    numbers = np.unique(readings.file)
+def _between(readings: Readings, place: Indices, of: Indices) -> Repeatability | None:
+    """Compare the means that files, or sides, have of each place, over all channels."""
+    numbers = np.unique(of)
     if len(numbers) < 2:
         return None
     count = int(place.max()) + 1
@@ -189,19 +194,11 @@ def _between_files(readings: Readings, place: Indices) -> Repeatability | None:
     theta_o[place] = readings.theta_o
     table = np.full((len(numbers), count, readings.value.shape[1]), np.nan)
     for index, number in enumerate(numbers):
-        rows = readings.rows(readings.file == number)
+        chosen = of == number
+        rows = readings.rows(chosen)
         weight = rows.usable.astype(float)
-        total = _summed(weight, place[readings.file == number], count)
-        value = _summed(np.where(weight > 0.0, rows.value, 0.0), place[readings.file == number], count)
+        total = _summed(weight, place[chosen], count)
+        value = _summed(np.where(weight > 0.0, rows.value, 0.0), place[chosen], count)
         table[index] = np.where(total > 0.0, value / np.where(total > 0.0, total, 1.0), np.nan)
     channels = table.shape[2]
     return repeatability(table.reshape(len(numbers), -1), np.repeat(theta_o, channels))
-
-
-def _with_floor(cells: Readings, found: Repeatability, files: Array) -> Readings:
-    """Raise the independent part so that no cell claims less than its files agree."""
-    floor = found.standard_deviation(cells.value) / np.sqrt(np.maximum(files, 1.0))
-    rest = np.square(cells.u_blank) + np.square(cells.u_common)
-    needed = np.sqrt(np.maximum(np.square(floor) - rest, 0.0))
-    raised = np.maximum(cells.u_noise, np.where(np.isfinite(needed), needed, 0.0))
-    return replace(cells, u_noise=raised)

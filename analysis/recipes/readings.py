@@ -16,7 +16,7 @@ from rig.angles import direction_to_spherical, spherical_to_direction, wrap
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     import xarray as xr
@@ -273,6 +273,25 @@ def joined(parts: Sequence[Readings]) -> Readings:
     columns["origin"] = np.arange(len(columns["value"]))
     columns["file"] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     return replace(first.with_columns(columns), files=tuple(name for part in parts for name in part.files))
+
+
+def with_floor(readings: Readings, deviation: Callable[[Array], Array], count: Array | float) -> Readings:
+    """Raise the independent part so that no reading claims less than repeats of it agree.
+
+    Parameters
+    ----------
+    readings : Readings
+        Means of `count` repeats.
+    deviation : callable
+        Standard deviation of one of them by its level, in the unit of the readings.
+    count : ndarray or float
+        Broadcasts against (N, C); less than 1 counts as 1.
+    """
+    floor = deviation(readings.value) / np.sqrt(np.maximum(count, 1.0))
+    rest = np.square(readings.u_blank) + np.square(readings.u_common)
+    needed = np.sqrt(np.maximum(np.square(floor) - rest, 0.0))
+    raised = np.maximum(readings.u_noise, np.where(np.isfinite(needed), needed, 0.0))
+    return replace(readings, u_noise=raised)
 
 
 def to_samples(readings: Readings, *, source: str) -> xr.Dataset:

@@ -32,6 +32,7 @@ from analysis.recipes.steps import (
     Cosine,
     FloorShift,
     Given,
+    KnownRepeatability,
     Reference,
     Scale,
     ShadowCut,
@@ -48,16 +49,18 @@ STEPS: dict[str, type[Step]] = {
     kind.model_fields["name"].annotation.__args__[0]: kind  # type: ignore[union-attr]
     for kind in (
         Blank, FloorShift, ShadowCut, AngleCut, AlignPeak, Average, PoleAverage, Sides, SpecularGrid,
-        Reference, Scale, Cosine,
+        KnownRepeatability, Reference, Scale, Cosine,
     )
 }  # fmt: skip
 """Every step by the name that a recipe's file uses."""
 
 AnyStep = Annotated[
     Blank | FloorShift | ShadowCut | AngleCut | AlignPeak | Average | PoleAverage | Sides | SpecularGrid
-    | Reference | Scale | Cosine,
+    | KnownRepeatability | Reference | Scale | Cosine,
     Field(discriminator="name"),
 ]  # fmt: skip
+
+ALIGN, GRID = "align_peak", "specular_grid"
 
 FOLDER = Path(__file__).parent
 LARGEST_BYTES = 1_000_000
@@ -144,11 +147,23 @@ def parsed(content: dict[str, Any], where: str) -> Recipe:
                 f"step[{index}] has no name" if name is None else f"step[{index}].name = '{name}' is no step"
             )
             raise BadInput(what, where=where, todo=f"use a known name{nearest(str(name), STEPS)}")
+    _require_use_of_alignment(steps if isinstance(steps, list) else [], where)
     try:
         # TOML has lists, the recipe tuples: strict types, but JSON's rules for containers.
         return Recipe.model_validate_json(_as_json(content))
     except ValidationError as error:
         raise explain(error, content, Recipe, where) from error
+
+
+def _require_use_of_alignment(steps: list[dict[str, Any]], where: str) -> None:
+    """Refuse an alignment that nothing takes out of the directions."""
+    names = [step["name"] for step in steps]
+    if ALIGN in names and GRID not in names[names.index(ALIGN) :]:
+        raise BadInput(
+            f"{ALIGN} finds a shift, and no {GRID} after it takes it out",
+            where=where,
+            todo=f"add the step {GRID}, or leave {ALIGN} out",
+        )
 
 
 def _as_json(content: dict[str, Any]) -> str:

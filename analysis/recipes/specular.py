@@ -38,27 +38,31 @@ class AlignPeak(Step):
 
     In each file and incidence the largest usable reading is the peak; the mean of their sideways distances
     (radial angle times the sine of its azimuth) is one error of the instrument's alignment for all of them.
-    Its uncertainty is that of the mean. Readings that are averaged keep to their nominal angles; directions
-    are shifted where they are interpolated, in `specular_grid`.
+    Its uncertainty is that of the mean: of the distances' scatter, or of a peak that lies anywhere between
+    its neighbours on the grid (rectangular), whichever is larger. Readings that are averaged keep to their
+    nominal angles; directions are shifted where they are interpolated, in `specular_grid`.
     """
 
     name: Literal["align_peak"]
 
     def apply(self, readings: Readings, given: Given) -> Readings:  # noqa: ARG002 - every step has both
         """Find it."""
-        sideways, _ = around_mirror(readings)
+        sideways, along = around_mirror(readings)
         level = np.where(readings.usable, readings.value, -np.inf).mean(axis=1)
         _, group = identities(readings.theta_i, readings.file.astype(np.float64))
-        found = []
+        found, steps = [], []
         for one in range(int(group.max()) + 1):
             rows = np.flatnonzero(group == one)
             peak = rows[int(np.argmax(level[rows]))]
             if np.isfinite(level[peak]):
                 found.append(float(sideways[peak]))
+                away = np.hypot(sideways[rows] - sideways[peak], along[rows] - along[peak])
+                steps.append(float(np.min(away[away > SAME_ANGLE_RAD], initial=np.pi)))
         if not found:
             raise BadInput("finds no usable reading", where="recipe, step align_peak", todo="check the cuts")
         mean = float(np.mean(found))
-        u_mean = float(np.std(found, ddof=1) / np.sqrt(len(found))) if len(found) > 1 else 0.0
+        scatter = float(np.std(found, ddof=1)) if len(found) > 1 else 0.0
+        u_mean = max(scatter, float(np.mean(steps)) / np.sqrt(12.0)) / np.sqrt(len(found))
         return replace(readings, sideways_rad=mean, u_sideways_rad=u_mean).noted(
             f"align_peak: the peak lies {np.degrees(mean):.2f} deg beside the plane of incidence "
             f"(standard uncertainty {np.degrees(u_mean):.2f} deg, from {len(found)} peaks)"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities
+from analysis.recipes.readings import ANGLES, SAME_ANGLE_RAD, Flag, Readings, identities, with_floor
 from analysis.uncertainty import quadrature
 from rig.errors import BadInput
 from rig.parts import Part
@@ -189,6 +189,24 @@ class Cosine(Step):
         return replace(
             scaled, u_noise=quadrature(scaled.u_noise, np.abs(scaled.value) * np.abs(relative)[:, None])
         )
+
+
+class KnownRepeatability(Step):
+    """Where no files of one sample were compared, state at least the repeatability known of the instrument.
+
+    Standard deviation of one file's reading: root of additive^2 + (relative x reading)^2, each reading by
+    itself. Mount, alignment and lamp change from file to file, and no noise within one file shows that.
+    """
+
+    name: Literal["repeatability"]
+    relative: float = Field(ge=0, le=1, description="part in proportion to the reading, 0 to 1")
+    additive: float = Field(0.0, ge=0, description="part that does not depend on it, in the reading's unit")
+
+    def apply(self, readings: Readings, given: Given) -> Readings:  # noqa: ARG002
+        """Raise what is stated to that, but where `average` found the files' own."""
+        if readings.repeatability is not None:
+            return readings
+        return with_floor(readings, lambda level: np.hypot(self.additive, self.relative * level), 1.0)
 
 
 class AngleCut(Step):

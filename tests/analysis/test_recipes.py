@@ -24,6 +24,7 @@ from analysis.recipes.steps import (
     Cosine,
     FloorShift,
     Given,
+    KnownRepeatability,
     Reference,
     Scale,
     ShadowCut,
@@ -395,6 +396,70 @@ def test_repeats_are_the_floor_of_the_uncertainty():
     done = Average(name="average").apply(files, NOTHING)
     assert done.u_noise.min() == pytest.approx(0.05, rel=0.1)
     assert Average(name="average", repeatability_floor=False).apply(files, NOTHING).u_noise.max() == 0.0
+
+
+def test_both_sides_of_the_plane_are_the_floor_of_their_mean():
+    """Catches a mirrored average that claims less than its sides differ: tilt, or an anisotropic sample."""
+    tilted = scan(*FULL, value=lambda _i, a, r: 1.0 + 0.2 * np.sign(np.cos(a) * np.sin(r)))
+    done = Average(name="average", mirror=True).apply(tilted, NOTHING)
+    beside = (np.abs(np.sin(done.between)) > 0.1) & (done.theta_o > 0.0)
+    # Two values that differ by 0.4: their standard deviation is 0.4 / sqrt(2), their mean's 0.2.
+    np.testing.assert_allclose(done.value[beside], 1.0)
+    np.testing.assert_allclose(done.u_noise[beside], 0.2, rtol=0.1)
+    even = Average(name="average", mirror=True).apply(scan(*FULL, value=1.0), NOTHING)
+    assert even.u_noise.max() < 1e-6
+
+
+def test_repeatability_that_is_known_of_the_instrument():
+    """Catches a single file that claims its noise alone, and compared files held to another's figure."""
+    step = KnownRepeatability(name="repeatability", relative=0.1, additive=0.3)
+    one = scan(*FULL, value=4.0, u_noise=0.01, u_common=0.3)
+    np.testing.assert_allclose(np.hypot(step.apply(one, NOTHING).u_noise, 0.3), 0.5)
+    noisy = scan(*FULL, value=4.0, u_noise=2.0)
+    np.testing.assert_array_equal(step.apply(noisy, NOTHING).u_noise, 2.0)
+    compared = Average(name="average").apply(joined([one, one]), NOTHING)
+    np.testing.assert_array_equal(step.apply(compared, NOTHING).u_noise, compared.u_noise)
+
+
+@pytest.mark.realdata
+def test_the_repeatability_that_ships_is_that_of_the_instrument(shared_data):
+    """Catches a figure in the recipes that the files of one sample at three stage angles do not show."""
+    raw = shared_data / "rt300s" / "raw"
+    files = [raw / f"{name}.xls" for name in bench.STEEL]
+    found = reduce_files(files, "rt300s", blank=bench.BLANK).repeatability
+    for name in ("rt300s", "rt300s-fred", "rt300s-zemax"):
+        (step,) = [step for step in load(name).step if step.name == "repeatability"]
+        assert step.relative == pytest.approx(found.relative, rel=0.05)
+        assert step.additive == pytest.approx(found.additive, rel=0.05)
+
+
+@pytest.mark.realdata
+def test_a_raw_file_states_its_uncertainty_as_the_recipe_does(shared_data):
+    """Catches a raw file that `gonio check` reads by another chain, or without u; or fits weighted by it."""
+    file = shared_data / "rt300s" / "raw" / f"{bench.STEEL[0]}.xls"
+    reduced = reduce_files([file], "rt300s", blank=bench.BLANK).samples
+    plain = read(file, blank=bench.BLANK)
+    good = plain["flags"].to_numpy() == 0
+    np.testing.assert_array_equal(reduced["flags"].to_numpy() == 0, good)
+    assert "u_f_r" not in plain
+    for ours, theirs in (("f_r", "f_r"), ("u_repeatability", "u_f_r")):
+        np.testing.assert_allclose(plain[ours].to_numpy()[good], reduced[theirs].to_numpy()[good], rtol=1e-12)
+    assert (plain["u_repeatability"].to_numpy()[good] >= 0.0449 * np.abs(plain["f_r"].to_numpy()[good])).all()
+
+
+def test_an_alignment_without_its_use_is_refused():
+    """Catches a recipe whose peak alignment does nothing, silently."""
+    steps = [{"name": "align_peak"}, {"name": "average"}]
+    with pytest.raises(BadInput, match="no specular_grid after it"):
+        parsed({"title": "x", "step": steps}, "mine.toml")
+
+
+@pytest.mark.parametrize("peaks", [1, 2])
+def test_an_alignment_from_few_peaks_is_not_exact(peaks):
+    """Catches a shift that claims to be known better than the grid on which the peak was looked for."""
+    fine = ([20.0, 40.0][:peaks], np.arange(-90, 91, 2.0), np.arange(-70, 71, 2.0))
+    found = AlignPeak(name="align_peak").apply(scan(*fine, value=lobe(0.0)), NOTHING)
+    assert 0.1 < np.degrees(found.u_sideways_rad) * np.sqrt(12.0 * peaks) < 3.0
 
 
 @pytest.mark.parametrize("sideways", [-0.12, 0.0, 0.15])
