@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     from analysis.state import Block
 
 Array = NDArray[np.float64]
-
-LEAST_FREE = 1e-3
-"""Share of a datum's error that its residual must keep to say how large that error is."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,15 @@ def assemble(layout: Layout, blocks: Sequence[Block]) -> Assembled:
     count, total = len(blocks[0].loss.data), len(layout.names)
     f, columns = np.empty((count, layout.channels)), np.zeros((count, layout.channels, total))
     natural = np.zeros((total, total))
+    if len(blocks) == 1:
+        # All channels share their shapes, and the block's own order is the layout's.
+        solution = blocks[0].solution
+        derivative = search_jacobian(
+            blocks[0].problem, blocks[0].loss.weight(), solution.shapes, solution.kd, solution.ks
+        )
+        return Assembled(
+            derivative.f, derivative.columns, to_natural(blocks[0].problem, solution, derivative)
+        )
     for block in blocks:
         solution = block.solution
         derivative = search_jacobian(
@@ -65,22 +72,36 @@ def assemble(layout: Layout, blocks: Sequence[Block]) -> Assembled:
 
 
 class NormalEquations:
-    """The normal equations at the solution, in search coordinates scaled to columns of length 1."""
+    """The normal equations at the solution, in those search coordinates that the data move.
+
+    Attributes
+    ----------
+    condition : float
+        Condition number of the equations scaled to columns of length 1.
+    inflation : ndarray, shape (P,)
+        Standard uncertainty of each coordinate over what it would be if the others were known.
+    cosines : ndarray, shape (P, P)
+        Cosines between what each two coordinates do to the residuals; infinite for what they do not move.
+    """
 
     def __init__(self, whole: Assembled, goal: Loss, undetermined: NDArray[np.bool_]) -> None:
         columns = goal.slope(whole.f)[..., None] * whole.columns
         flat = columns.reshape(-1, columns.shape[-1])
-        length = np.sqrt(np.einsum("np,np->p", flat, flat))
-        self._free = (length > 0.0) & ~undetermined
-        self._length = length[self._free]
-        scaled = columns[..., self._free] / self._length
-        flat = scaled.reshape(-1, scaled.shape[-1])
         normal = flat.T @ flat
+        length = np.sqrt(np.diag(normal))
+        self._free = (length > 0.0) & ~undetermined
+        if not self._free.all():
+            columns = columns[..., self._free]
+        scale = np.outer(length, length)[np.ix_(self._free, self._free)]
+        normal = normal[np.ix_(self._free, self._free)] / scale
         self.condition = float(np.linalg.cond(normal))
         # Not the inverse: a direction without information must come out large, not fail.
-        self._inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+        inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+        self.inflation = self.among_all(np.sqrt(np.diag(inverse)), 1.0)
+        self.cosines = self._full(normal)
+        self._inverse = inverse / scale
         self._weight = goal.weight()
-        self._scores = scaled * self._weight[..., None]
+        self._scores = np.multiply(columns, self._weight[..., None], out=columns)
 
     def covariance(self, own: Array, shared: list[uncertainty.SharedError]) -> Array:
         """Sandwich covariance; infinite where there is no information."""
@@ -90,45 +111,37 @@ class NormalEquations:
         """Covariance for independent residuals of standard deviation 1."""
         return self._full(self._inverse)
 
+    @cached_property
+    def influence(self) -> Array:
+        """How far an error of f of 1/sr in each datum moves each free coordinate, shape (N C, P')."""
+        return np.asarray(self._scores.reshape(-1, self._scores.shape[-1]) @ self._inverse)
+
     def leverages(self) -> Array:
         """Return each datum's share in its own fitted value: diag(J (J^T J)^-1 J^T), 0 to 1, shape (N, C)."""
-        found = np.zeros_like(self._weight)
-        for c, weight in enumerate(self._weight.T):
-            scores = self._scores[:, c]
-            square = np.einsum("np,np->n", scores @ self._inverse, scores)
-            np.divide(square, np.square(weight), out=found[:, c], where=weight > 0.0)
-        return found
+        flat = self._scores.reshape(self.influence.shape)
+        square = np.square(self._weight)
+        share = np.einsum("np,np->n", flat, self.influence).reshape(square.shape)
+        return np.asarray(np.divide(share, square, out=share, where=square > 0.0))
 
-    def _full(self, scaled: Array) -> Array:
+    def moved(self, error: Array) -> Array:
+        """Return how far errors of f (N, C) move the coordinates (P,); 0 where undetermined."""
+        return self.among_all(error.ravel() @ self.influence, 0.0)
+
+    def propagated(self, errors: Array) -> Array:
+        """Covariance (P, P) of the coordinates moved by independent errors, as columns (N C, P') of moves."""
+        return self._full(errors.T @ errors)
+
+    def among_all(self, known: Array, otherwise: float) -> Array:
+        """Put numbers (P',) of the free coordinates among those of all (P,)."""
+        every = np.full(len(self._free), otherwise)
+        every[self._free] = known
+        return every
+
+    def _full(self, among_free: Array) -> Array:
         full = np.zeros((len(self._free), len(self._free)))
-        full[np.ix_(self._free, self._free)] = scaled / np.outer(self._length, self._length)
+        full[np.ix_(self._free, self._free)] = among_free
         full[~self._free, ~self._free] = np.inf
         return full
-
-
-def residual_sizes(residual: Array, leverages: Array, scatter: Array) -> Array:
-    """Let each residual state the standard deviation of its own error.
-
-    These are the sizes of HC3 (MacKinnon & White 1985, in the form of Davidson & MacKinnon 1993):
-    |r| / (1 - h), the residual that a datum would have from a fit without it. In a sandwich they need not be
-    of one size, nor of a known law: noise may grow with the signal.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N, C)
-        Residuals at the solution.
-    leverages : ndarray, shape (N, C)
-        See `NormalEquations.leverages`.
-    scatter : ndarray, shape (N, C)
-        Standard deviation for data that the fit meets whatever they are: their residuals say nothing.
-
-    Returns
-    -------
-    ndarray, shape (N, C)
-        Standard deviations in the unit of the residuals.
-    """
-    free = 1.0 - leverages
-    return np.where(free > LEAST_FREE, np.abs(residual) / np.maximum(free, LEAST_FREE), scatter)
 
 
 def to_natural(problem: Problem, solution: Solution, derivative: SearchJacobian) -> Array:

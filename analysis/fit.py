@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis import uncertainty
 from analysis.appearance import appearance
-from analysis.covariance import NormalEquations, assemble, derived, residual_sizes, transform
+from analysis.covariance import NormalEquations, assemble, derived, transform
 from analysis.goal import Goal
 from analysis.identifiability import (
     Caution,
@@ -23,6 +23,7 @@ from analysis.identifiability import (
     about_shapes,
     about_the_lobe,
     correlation_matrix,
+    half_width,
     one_each,
 )
 from analysis.instrument import Seen, Spread, instrument_of
@@ -33,6 +34,8 @@ from analysis.observations import check_enough, observe
 from analysis.plausibility import require_plausible
 from analysis.samples import select
 from analysis.state import Block, State
+from analysis.unstated import bend, from_residuals
+from analysis.wide_lobes import about_wide_lobes
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -41,7 +44,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from analysis.layout import Layout
-    from analysis.losses import Loss
     from analysis.models.base import Model
 
 Array = NDArray[np.float64]
@@ -139,9 +141,9 @@ def fit(
     Samples with a flag, without a value, or below the horizon are not used; values at or below zero are.
     Where samples carry uncertainties, the weights take what is independent from sample to sample, the white's
     noise, and the pose's uncertainty through the gradient of a first fit; the covariance counts every error
-    as shared by all whom it moves. Without uncertainties each residual states the size of its own error (see
-    `analysis.covariance.residual_sizes`), so that noise may differ from sample to sample; errors are taken as
-    independent, and u tells nothing of a model that does not describe the surface.
+    as shared by all whom it moves. Without uncertainties the residuals tell how the noise goes with the
+    brightness (see `analysis.unstated`); errors are taken as independent, and u tells nothing of a model that
+    does not describe the surface.
 
     Parameters
     ----------
@@ -224,14 +226,24 @@ def _result(goal: Goal, blocks: tuple[Block, ...], poses: list[uncertainty.Share
     u = data.total(poses)
     loss, whole = goal.whole(blocks, u), assemble(layout, blocks)
     on_bound = _rows(layout, blocks, [_on_bound(block) for block in blocks])
-    lobes = [caution for block in blocks for caution in about_the_lobe(block, goal.labels(block))]
+    widths = [half_width(block.problem, block.solution.shapes) for block in blocks]
+    lobes = [
+        caution
+        for block, width in zip(blocks, widths, strict=True)
+        for caution in about_the_lobe(block, width, goal.labels(block))
+    ]
     narrow = {(name, c.channel) for c in lobes if c.kind is Kind.NARROW_LOBE for name in c.parameters}
     undetermined = on_bound | np.array([name in narrow for name in layout.names])
     shared = [*uncertainty.shared_in_f(data.samples), *poses] if data.stated else []
     normal = NormalEquations(whole, loss, undetermined)
-    own = uncertainty.independent(data.samples) if data.stated else _scatter(loss, blocks, whole.f, normal)
-    search = normal.covariance(data.used * own, shared)
-    covariance = transform(whole.natural, search)
+    if data.stated:
+        own = data.used * uncertainty.independent(data.samples)
+        search, freedom = normal.covariance(own, shared), np.full(len(layout.names), np.inf)
+    else:
+        told = from_residuals(normal, loss, whole.f, _scatter(blocks))
+        own, search, freedom = told.own, told.covariance, told.freedom
+    bias = normal.moved(bend(loss, whole.f, own))
+    covariance = transform(whole.natural, search + np.outer(bias, bias))
     u_flat = np.sqrt(np.diag(covariance))
     plain = np.sqrt(np.diag(transform(whole.natural, normal.inverse())))
     metrics = goodness(
@@ -246,24 +258,28 @@ def _result(goal: Goal, blocks: tuple[Block, ...], poses: list[uncertainty.Share
     shapes = about_shapes(
         layout, blocks[0].problem.shapes, values, u_values, on_bound=on_bound, channels=data.channels
     )
+    scales = about_scales(layout, search, covariance)
+    if not any(caution.kind is Kind.KD_KS for caution in scales):
+        for block, width in zip(blocks, widths, strict=True):
+            scales += about_wide_lobes(layout, block, width, normal, covariance)
     return FitResult(
         model=_model(goal, blocks),
         parameters=values,
         u=u_values,
         covariance=covariance,
         names=layout.names,
-        derived=derived(layout, values, whole.natural, search),
+        derived=derived(layout, values, whole.natural, search + np.outer(bias, bias)),
         goodness=metrics,
         loss=loss.name,
         count=int(loss.counted.sum()),
         condition=normal.condition,
         cautions=(
             *one_each(shapes, lobes),
-            *about_scales(layout, search, covariance),
+            *scales,
             *about_outliers(loss),
             *about_misfit(metrics),
         ),
-        state=State(blocks, layout, loss, _ratio(u_flat, plain)),
+        state=State(blocks, layout, loss, _ratio(u_flat, plain), freedom),
     )
 
 
@@ -281,15 +297,10 @@ def _on_bound(block: Block) -> NDArray[np.bool_]:
     return np.asarray((shapes - low < near) | (high - shapes < near))
 
 
-def _scatter(loss: Loss, blocks: tuple[Block, ...], f: Array, normal: NormalEquations) -> Array:
-    """Uncertainty (N, C) in 1/sr from residuals: its own, or in a robust fit those of like brightness."""
-    scatter = np.empty_like(f)
-    for block in blocks:
-        scatter[:, list(block.channels)] = block.residual_scatter()
-    robust = any(block.scatter is not None for block in blocks)
-    sizes = scatter if robust else residual_sizes(loss.residual(f), normal.leverages(), scatter)
-    slope = loss.reweighted(None).weight()
-    return sizes / np.where(slope > 0.0, slope, np.inf)
+def _scatter(blocks: tuple[Block, ...]) -> Array | None:
+    """Return the scatter of all channels' residuals, where gross errors were told from it."""
+    parts = [block.scatter for block in blocks if block.scatter is not None]
+    return np.hstack(parts) if parts else None
 
 
 def _ratio(whole: Array, part: Array) -> Array:

@@ -47,6 +47,8 @@ NEAR_TOP_RAD = np.radians(20.0)
 """Angle of the half vector to the normal within which the grid's step counts."""
 GROUPS = 8
 """Directions of light that the grid's step is taken from."""
+SAME_LIGHT = 1.0 - 1e-12
+"""Cosine between two directions of light, 1e-6 rad apart, from which on they are one."""
 MISFIT = 2.0
 """Chi-square per degree of freedom from which on model or uncertainties do not describe the samples."""
 NORMAL_REFLECTANCE = ("ior", "f0")
@@ -102,8 +104,10 @@ def half_width(problem: Problem, shapes: Array) -> float:
     -------
     float
         The smaller one of two planes, at an angle of 20 deg between half vector and light; pi/2 for a lobe
-        that nowhere falls so far.
+        that nowhere falls so far, 0 where there is none.
     """
+    if not problem.has_lobe or not problem.shapes:
+        return 0.0
     theta_h = np.concatenate([[0.0], np.geomspace(1e-4, 1.5, 400)])
     widths = []
     for phi_h in (0.0, 0.5 * np.pi):
@@ -115,7 +119,7 @@ def half_width(problem: Problem, shapes: Array) -> float:
     return min(widths)
 
 
-def about_the_lobe(block: Block, label: tuple[int, str] | None = None) -> list[Caution]:
+def about_the_lobe(block: Block, width: float, label: tuple[int, str] | None = None) -> list[Caution]:
     """Say whether there is a lobe, and whether samples lie on enough of it.
 
     A lobe narrower than the samples' grid is seen at its top alone, or on the tail that the model's formula
@@ -125,6 +129,8 @@ def about_the_lobe(block: Block, label: tuple[int, str] | None = None) -> list[C
     ----------
     block : Block
         Channels that share their shapes.
+    width : float
+        Of `half_width`.
     label : (int, str), optional
         Number and name of the channel, where the others have shapes of their own.
 
@@ -139,7 +145,6 @@ def about_the_lobe(block: Block, label: tuple[int, str] | None = None) -> list[C
     if not np.any(solution.ks > 0.0):
         return [Caution(Kind.NO_LOBE, ("ks",), f"{of}the samples show no specular lobe", channel)]
     name = problem.shapes[0].name
-    width = half_width(problem, solution.shapes)
     used = np.any(block.loss.counted, axis=1)
     wi, wo = problem.geometry.wi[used], problem.geometry.wo[used]
     theta_h = np.arctan(np.sqrt(problem.geometry.tan2_h[used, 0]))
@@ -187,8 +192,9 @@ def grid_step(wi: Array, wo: Array, theta_h: Array) -> float:
         return 0.0
     wi, wo = wi[near], wo[near]
     steps = []
-    for pick in np.unique(np.linspace(0, len(near) - 1, GROUPS).astype(int)):
-        group = np.unique(np.round(wo[np.max(np.abs(wi - wi[pick]), axis=1) < 1e-6], 6), axis=0)
+    picks = np.unique(np.linspace(0, len(near) - 1, GROUPS).astype(int))
+    for same in (wi @ wi[picks].T > SAME_LIGHT).T:
+        group = np.unique(np.round(wo[same], 6), axis=0)
         if 3 <= len(group) <= 1000:
             cosine = group @ group.T
             np.fill_diagonal(cosine, -1.0)

@@ -2,7 +2,8 @@
 
 Where a loss is curved the interval of value plus or minus two standard uncertainties is not one of 95 %. The
 profile is: with one parameter held, the others are fitted anew, and the interval ends where the cost has
-risen by what the level allows (Venzon & Moolgavkar 1988). Errors that samples share, and residuals that are
+risen by what the level allows (Venzon & Moolgavkar 1988), on Student's t where residuals had to tell the
+uncertainty. Errors that samples share, and residuals that are
 not of one size, enter through the ratio of the fit's standard uncertainty to that of plain least squares
 (Kent 1982): the cost may rise by its square times as much.
 """
@@ -29,6 +30,7 @@ ROUNDS = 6
 CLOSE = 1e-3
 """Distance of an end from its level, in standard uncertainties, at which it is found."""
 TOLERANCE, MOST_STEPS = 1e-9, 100
+MOST_FREEDOM = 1e9
 WIDEST = 20.0
 """An end further off than this, in standard uncertainties, is not there."""
 
@@ -51,14 +53,15 @@ def profile_intervals(result: FitResult, level: float = LEVEL, *, scales: bool =
         Low and high end by parameter. An end that is a bound is given as the bound; the interval of a
         parameter that the samples do not determine goes from bound to bound.
     """
-    from scipy.stats import norm
+    from scipy.special import stdtrit
 
-    quantile = float(norm.ppf(0.5 + 0.5 * level))
+    # An infinite number of degrees of freedom is not taken by all releases.
+    freedom = np.minimum(result.state.freedom, MOST_FREEDOM)
+    quantile = np.asarray(stdtrit(freedom, 0.5 + 0.5 * level))
     ends = np.empty((len(result.names), 2))
     for block in result.state.blocks:
-        ends[result.state.layout.rows_of(block.channels)] = _Profile(result, block).intervals(
-            quantile, scales=scales
-        )
+        rows = result.state.layout.rows_of(block.channels)
+        ends[rows] = _Profile(result, block).intervals(quantile[rows], scales=scales)
     found = {}
     for name in result.parameters:
         rows = [i for i, (other, _) in enumerate(result.names) if other == name]
@@ -91,7 +94,7 @@ class _Profile:
         self._per_unit = np.full(len(self._best), np.nan)
         self._per_unit[: len(rows)] = result.state.rise[rows]
 
-    def intervals(self, quantile: float, *, scales: bool) -> Array:
+    def intervals(self, quantile: Array, *, scales: bool) -> Array:
         """Both ends of all coordinates, or of the shapes alone, as natural values (shapes, kd, ks; 2)."""
         known = np.isfinite(self._u) & (self._u > 0.0) & np.isfinite(self._per_unit)
         if not scales:
@@ -99,16 +102,16 @@ class _Profile:
         held = np.flatnonzero(known)
         ends = np.stack([self._low, self._high], axis=1)
         for side, sign in ((0, -1.0), (1, 1.0)) if held.size else ():
-            ends[held, side] = self._ends(held, sign, quantile)
+            ends[held, side] = self._ends(held, sign, quantile[held])
         return self._natural(ends)[: self._count]
 
-    def _ends(self, held: NDArray[np.intp], sign: float, quantile: float) -> Array:
+    def _ends(self, held: NDArray[np.intp], sign: float, quantile: Array) -> Array:
         """Find where the root of the rise of the cost is the quantile, by secants from the centre."""
         x = np.tile(self._best, (len(held), 1))
         rows = np.arange(len(held))
         centre, u, unit = self._best[held], self._u[held], self._per_unit[held]
         limit = (self._low if sign < 0.0 else self._high)[held]
-        away = np.full(len(held), quantile)
+        away = quantile.copy()
         inner, inner_root = np.zeros(len(held)), np.zeros(len(held))
         base = self._cost(x[:1])[0]
         for _ in range(ROUNDS):

@@ -57,18 +57,17 @@ def search_jacobian(problem: Problem, weight: Array, shapes: Array, kd: Array, k
     terms = problem.terms(shapes[None])
     diffuse, lobe = (term.T for term in (terms.diffuse, terms.lobe))
     size, size_slopes = _size(weight, terms, len(shapes))
-    count, channels = weight.shape
-    each = np.eye(channels)
-    columns = [np.zeros((count, channels)) for _ in shapes]
+    (count, channels), first = weight.shape, len(shapes)
+    columns = np.zeros((count, channels, first + (2 if problem.has_lobe else 1) * channels))
     for i, slope in zip(terms.lobe_by, terms.lobe_slopes, strict=True):
-        columns[i] += ks * (slope.T - lobe * size_slopes[i])
+        columns[..., i] += ks * (slope.T - lobe * size_slopes[i])
     for i, slope in zip(terms.diffuse_by, terms.diffuse_slopes, strict=True):
-        columns[i] += kd * slope.T
-    scales = [diffuse * each[c] for c in range(channels)]
-    if problem.has_lobe:
-        scales += [lobe / size * each[c] for c in range(channels)]
-    stacked = np.stack([*columns, *scales], axis=-1)
-    return SearchJacobian(kd * diffuse + ks * lobe, stacked, size, size_slopes)
+        columns[..., i] += kd * slope.T
+    for c in range(channels):
+        columns[:, c, first + c] = diffuse[:, 0]
+        if problem.has_lobe:
+            columns[:, c, first + channels + c] = lobe[:, 0] / size[c]
+    return SearchJacobian(kd * diffuse + ks * lobe, columns, size, size_slopes)
 
 
 def _size(weight: Array, terms: Terms, shapes: int) -> tuple[Array, Array]:

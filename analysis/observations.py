@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,7 +55,7 @@ class Observations:
         """Cosine of incidence, shape (N, 1)."""
         return self.wi[:, 2:]
 
-    @property
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels."""
         return tuple(str(name) for name in self.samples["channel"].to_numpy())

@@ -10,7 +10,8 @@ information.
 The scatter is taken among data of like brightness (Carroll & Ruppert 1988, chapter 3): a lobe is noisier than
 the rest, or met less well by the model, and is no gross error for that. The whole begins twice, from the loss
 and from one that large values rule less, and the better end is taken: where gross errors decide the first
-fit, the weights would never let the lobe in again.
+fit, the weights would never let the lobe in again. Where samples state no uncertainty, the scatter at the end
+is a law of the brightness (see `analysis.noise`): groups are too coarse for the top of a narrow lobe.
 
 The covariance takes the final weights as given, which on normal errors makes u too small by 2 %.
 """
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.noise import noise_variance
 from analysis.solver import minimise
 
 if TYPE_CHECKING:
@@ -95,6 +97,11 @@ def minimise_robustly(problem: Problem, loss: Loss, calm: Loss, start: Solution 
     weighted, solution = min(
         found, key=lambda each: _loss_of_biweight(_residual(problem, loss, each[1]) / scatter, loss.used)
     )
+    if loss.name != "chi2":
+        # Uncertainties tell how noise goes with brightness; without them the first scatter is a coarse one.
+        scatter = _law(problem, loss, solution, loss.used, robust=True)
+        weighted, solution = _reweighted(problem, loss, solution, _biweight, scatter)
+        scatter = _law(problem, loss, solution, weighted.counted, robust=False)
     return RobustFit(weighted, solution, scatter)
 
 
@@ -119,8 +126,21 @@ def _reweighted(
 
 def _scatter(problem: Problem, loss: Loss, solution: Solution) -> Array:
     found = scatter_of(_residual(problem, loss, solution), loss.used, _f(problem, solution))
+    return _at_least(found, loss)
+
+
+def _law(
+    problem: Problem, loss: Loss, solution: Solution, known: NDArray[np.bool_], *, robust: bool
+) -> Array:
+    """Scatter as a smooth law of the brightness, which goes on to the few brightest data."""
+    f = _f(problem, solution)
+    found = noise_variance(np.square(loss.residual(f)), f, loss.slope(f), known, robust=robust)
+    return _at_least(np.sqrt(found), loss)
+
+
+def _at_least(scatter: Array, loss: Loss) -> Array:
     size = np.abs(loss.residual(np.zeros_like(loss.data)))
-    return np.maximum(found, EXACT * float(np.median(size[loss.used])) + np.finfo(float).tiny)
+    return np.maximum(scatter, EXACT * float(np.median(size[loss.used])) + np.finfo(float).tiny)
 
 
 def scatter_of(residual: Array, used: NDArray[np.bool_], brightness: Array) -> Array:

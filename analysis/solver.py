@@ -39,7 +39,7 @@ REWEIGHTED = 3
 RIVAL = 1.5
 """Cost on few samples, as a multiple of the best, up to which a minimum may be the best on all."""
 TOLERANCE = 1e-11
-GRID_TOLERANCE, ROUGH_TOLERANCE = 1e-4, 1e-5
+GRID_TOLERANCE, ROUGH_TOLERANCE = 1e-3, 1e-5
 """For telling minima apart: those of a grid lie further from one another than those of more shapes."""
 MOST_STEPS = 300
 APART = 1e-3

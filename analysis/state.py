@@ -74,12 +74,15 @@ class State:
     rise : ndarray, shape (P,)
         Root of twice what the cost rises when a parameter moves by its standard uncertainty and the others
         make the best of it; NaN where the samples do not determine it.
+    freedom : ndarray, shape (P,)
+        Degrees of freedom of the standard uncertainties; infinite where the samples state theirs.
     """
 
     blocks: tuple[Block, ...]
     layout: Layout
     loss: Loss
     rise: Array
+    freedom: Array
 
     @property
     def problem(self) -> Problem:

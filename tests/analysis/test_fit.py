@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from analysis.covariance import residual_sizes
 from analysis.equations import solve_scales
 from analysis.fit import fit
 from analysis.losses import LOSSES, make_loss
@@ -155,25 +154,6 @@ def test_scatter_stands_in_for_missing_uncertainties():
     # kd = pi sum(cos^2 f) / sum(cos^2), of f with one and the same error.
     expected = np.pi * 0.01 * np.sqrt(np.sum(cos**4)) / np.sum(cos**2)
     assert result.u["kd"] == pytest.approx(expected, rel=0.05)
-
-
-@pytest.mark.parametrize("loss", ["log", "l2"])
-def test_scatter_may_grow_with_the_signal(loss):
-    """Catches residuals taken as of one size: a bright lobe's noise says how uncertain its width is."""
-    exact, random, pulls = exact_samples("cook-torrance", count=200), np.random.default_rng(4), []
-    for _ in range(60):
-        noise = 0.05 * random.standard_normal(exact["f_r"].shape)
-        result = fit(exact.assign(f_r=exact["f_r"] * (1.0 + noise)), "cook-torrance", loss=loss)
-        pulls.append((result.parameters["m"] - TRUTH["cook-torrance"]["m"]) / result.u["m"])
-    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.4
-
-
-def test_a_datum_that_the_fit_must_meet_tells_nothing_of_its_error():
-    """Catches a u of zero where one datum determines a parameter: its residual is zero, its error is not."""
-    sizes = residual_sizes(
-        np.array([[0.1], [-0.2], [0.0]]), np.array([[0.0], [0.5], [1.0]]), np.full((3, 1), 0.3)
-    )
-    np.testing.assert_allclose(sizes, [[0.1], [0.4], [0.3]])
 
 
 def test_flagged_missing_and_invisible_samples_are_left_out():

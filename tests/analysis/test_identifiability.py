@@ -11,6 +11,7 @@ from analysis.models import MODELS
 from analysis.models.base import Geometry
 from analysis.problem import Problem
 from analysis.samples import make_samples, read, select
+from analysis.wide_lobes import without_diffuse
 from rig.angles import spherical_to_direction
 
 WIDTH = {"ggx": "alpha", "cook-torrance": "m", "cook-torrance-schlick": "m"}
@@ -191,3 +192,54 @@ def test_real_paints_are_resolved_by_their_grid(shared_data, paint):
     """Catches a doubt about paints of alpha 0.14 and 0.19 on a grid of 10 deg, which hold it well."""
     samples = select(read(shared_data / "cornell" / f"{paint}.brdf"), wavelength_nm=[550.0])
     assert fit(samples, "ggx").cautions == ()
+
+
+ROUGH = [
+    *(("ggx", {"alpha": alpha, "f0": 0.05}) for alpha in (0.7, 0.85, 1.0)),
+    *(("beckmann", {"m": m, "f0": 0.05}) for m in (0.7, 0.9, 1.5)),
+    *(("cook-torrance", {"m": m, "ior": 1.5}) for m in (0.7, 1.2)),
+]
+GLOSSY = [
+    *(("ggx", {"alpha": alpha, "f0": 0.05}) for alpha in (0.15, 0.25, 0.4)),
+    *(("beckmann", {"m": m, "f0": 0.05}) for m in (0.2, 0.4)),
+    ("cook-torrance", {"m": 0.3, "ior": 1.5}),
+    ("blinn-phong", {"exponent": 30.0}),
+    ("lafortune-retro", {"exponent": 40.0}),
+]
+DESIGNS = {
+    "grid of 10 deg": grid(),
+    "in plane, 5 deg": in_plane(15.0, 5.0),
+    "two lights": some_lights(2, 60),
+    "anywhere": anywhere(300, 5),
+}
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize(("name", "shapes"), ROUGH)
+def test_a_lobe_like_lamberts_is_named_however_it_was_measured(name, shapes, design, noise):
+    """Catches kd and ks of a rough surface that pass without a word: their correlation alone is small."""
+    result = fit(drawn(name, *DESIGNS[design], kd=0.2, ks=0.8, noise=noise, **shapes), name)
+    assert kinds(result) & {Kind.KD_KS, Kind.NO_LOBE}
+    assert "kd" in result.message or "no specular lobe" in result.message
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("design", ["grid of 10 deg", "in plane, 5 deg", "anywhere"])
+@pytest.mark.parametrize(("name", "shapes"), GLOSSY)
+def test_an_ordinary_lobe_is_not_called_wide(name, shapes, design, seed):
+    """Catches a caution about kd and ks that is always there."""
+    result = fit(drawn(name, *DESIGNS[design], kd=0.2, ks=0.8, seed=seed, noise=0.03, **shapes), name)
+    assert Kind.KD_KS not in kinds(result)
+
+
+def test_the_caution_says_what_the_diffuse_term_is_good_for():
+    """Catches a growth of the residual that is not that of a fit without kd."""
+    samples = drawn("beckmann", *grid(), kd=0.2, ks=0.8, m=0.9, f0=0.05, noise=0.02)
+    result = fit(samples, "beckmann")
+    block = result.state.blocks[0]
+    grown = without_diffuse(block)
+    assert f"{grown:.3g} times" in result.message
+    assert grown > 5.0
+    bare = fit(drawn("beckmann", *grid(), kd=0.0, ks=0.8, m=0.9, f0=0.05, noise=0.02), "beckmann")
+    assert without_diffuse(bare.state.blocks[0]) == pytest.approx(1.0, abs=0.01)
