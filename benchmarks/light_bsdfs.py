@@ -13,6 +13,7 @@ import numpy as np
 from analysis.models import MODELS
 from benchmarks.models_digits import directions, shapes
 from benchmarks.rows import row
+from rig.angles import unit
 from simulator.light.reflectance import mitsuba_reflectance
 from simulator.materials import closed_form_material
 
@@ -100,9 +101,9 @@ def worst_error(mi: Any, name: str, draws: int, count: int) -> Worst:
     wi, wo = (given.astype(np.float32).astype(np.float64) for given in directions(count))
     worst = Worst(0.0, {}, wi[0], wo[0])
     for material in materials(name, draws):
-        truth = material.closed_form().evaluate(wi, wo)[:, 0]
+        truth = material.closed_form().evaluate(unit(wi), unit(wo))[:, 0]
         found = mitsuba_reflectance(mi, material)(wi, wo)[:, 0]
-        seen = truth > np.maximum(FAINTEST * _peak(material, wi), SMALLEST)
+        seen = truth > faintest(material, wi)
         error = np.where(seen, np.abs(found - truth) / np.where(seen, truth, 1.0), 0.0)
         error[~np.isfinite(found)] = np.inf
         at = int(np.argmax(error))
@@ -111,11 +112,11 @@ def worst_error(mi: Any, name: str, draws: int, count: int) -> Worst:
     return worst
 
 
-def _peak(material: ClosedFormMaterial, wi: Array) -> Array:
-    """Value in the mirror direction or back to the light, whichever is larger, shape (N,)."""
+def faintest(material: ClosedFormMaterial, wi: Array) -> Array:
+    """Return the values (N,) below which single precision is not compared, by the light's direction."""
     model = material.closed_form()
     mirror, back = model.evaluate(wi, wi * [-1.0, -1.0, 1.0]), model.evaluate(wi, wi)
-    return np.asarray(np.maximum(mirror, back)[:, 0])
+    return np.asarray(np.maximum(FAINTEST * np.maximum(mirror, back)[:, 0], SMALLEST))
 
 
 def worst_errors(mi: Any, draws: int = 60, count: int = 2000) -> dict[str, Worst]:

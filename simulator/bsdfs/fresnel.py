@@ -45,15 +45,18 @@ def conductor(pair: Pair, eta: Any, k: Any) -> Any:
 
     |r_s|^2 = |n^2 - 1|^2 / |g + c|^4 and |r_p|^2 = |n^2 - 1|^2 |(n^2 + 1) c^2 - 1|^2 / |n^2 c + g|^4.
     """
-    c = pair.cos_d
+    c, sine2 = pair.cos_d, pair.sin2_d
     c2 = c * c
-    # n^2 - 1, whose real part is a difference where eta^2 - 1 is near k^2: its imaginary part is large there.
-    real, imaginary = (eta - 1.0) * (eta + 1.0) - k * k, 2.0 * eta * k
-    g_real, g_imaginary = _root(real + c2, imaginary)
+    # n^2 and n^2 - 1, whose real parts are differences where k is near: the imaginary part is large there.
+    square, real, imaginary = (eta - k) * (eta + k), (eta - 1.0) * (eta + 1.0) - k * k, 2.0 * eta * k
+    # From the smaller of sine and cosine: near the critical angle of a small index they cancel against it.
+    steep = c2 > 0.5
+    g_real, g_imaginary = _root(dr.select(steep, square - sine2, real + c2), imaginary)
     contrast2 = real * real + imaginary * imaginary
     s2 = dr.square(g_real + c) + dr.square(g_imaginary)
-    p2 = dr.square((real + 1.0) * c + g_real) + dr.square(imaginary * c + g_imaginary)
-    brewster2 = dr.square((real + 2.0) * c2 - 1.0) + dr.square(imaginary * c2)
+    p2 = dr.square(square * c + g_real) + dr.square(imaginary * c + g_imaginary)
+    brewster = dr.select(steep, square * c2 - sine2, (square + 1.0) * c2 - 1.0)
+    brewster2 = dr.square(brewster) + dr.square(imaginary * c2)
     return 0.5 * (contrast2 / s2 / s2 + contrast2 / p2 * brewster2 / p2)
 
 

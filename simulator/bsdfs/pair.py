@@ -116,7 +116,13 @@ class Pair:
         missing = 0.5 * (x * x + y * y + z * z)
         near = missing < 0.5
         lit, far = log_of_sum((-light.x, camera.x), (-light.y, camera.y), (light.z, camera.z))
+        far -= self.log_lengths
         return near | lit, dr.select(near, log1p(dr.select(near, -missing, 0.0)), far)
+
+    @cached_property
+    def log_lengths(self) -> Any:
+        """Logarithm of |L| |E|, by whose last digit a dot product is too large: an exponent multiplies it."""
+        return surplus(self.light) + surplus(self.camera)
 
     @cached_property
     def retro(self) -> Pair:
@@ -158,9 +164,13 @@ def sum_of_products(*pairs: tuple[Any, Any]) -> tuple[Any, Any]:
 def log_of_sum(*pairs: tuple[Any, Any]) -> tuple[Any, Any]:
     """Whether a sum of products is above zero, and its natural logarithm; 0 where it is not."""
     high, low = sum_of_products(*pairs)
-    lit = high + low > 0.0
-    safe = dr.select(lit, high, 1.0)
-    return lit, dr.log(safe) + dr.select(lit, low, 0.0) / safe
+    # Where terms cancel, the rest may be as large as the value or larger: it is taken in first.
+    total = high + low
+    taken = total - high
+    rest = (high - (total - taken)) + (low - taken)
+    lit = total > 0.0
+    safe = dr.select(lit, total, 1.0)
+    return lit, dr.log(safe) + dr.select(lit, rest, 0.0) / safe
 
 
 def surplus(direction: Any) -> Any:

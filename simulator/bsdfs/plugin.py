@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 
 from analysis.models import MODELS
-from simulator.bsdfs.catalogue import LOBES
+from simulator.bsdfs.catalogue import LARGEST, LOBES
 from simulator.bsdfs.pair import Pair
 from simulator.bsdfs.sampling import Mixture
 
@@ -55,7 +55,8 @@ def closed_form_bsdf(mi: Any) -> type:  # noqa: C901 - a class, made where its b
             pair = Pair(dr.select(lit, wo, up), dr.select(lit, si.wi, up))
             f = self.values["kd"] * self.lobes.diffuse(pair, self.values)
             if self.lobes.specular is not None:
-                f += self.values["ks"] * self.lobes.specular(pair, self.values)
+                # Within 1e-18 of the surface some lobes exceed single precision.
+                f += self.values["ks"] * dr.minimum(self.lobes.specular(pair, self.values), LARGEST)
             return dr.select(lit, f * pair.light.z, 0.0)
 
         def _mixture(self) -> Mixture:

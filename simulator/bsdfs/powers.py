@@ -56,7 +56,7 @@ def _generalised(pair: Pair, sideways: float, p: Mapping[str, Any]) -> Any:
         (sideways * light.x, camera.x),
         (sideways * light.y, camera.y),
     )
-    return dr.select(lit, dr.exp(p["exponent"] * logarithm), 0.0)
+    return dr.select(lit, dr.exp(p["exponent"] * (logarithm - pair.log_lengths)), 0.0)
 
 
 def _gaussian(pair: Pair, alpha: Any) -> Any:
