@@ -154,7 +154,8 @@ def cancels(name: str, g: SimpleNamespace, p: SimpleNamespace) -> bool:
     """
     if name in {"lafortune", "lafortune-retro"}:
         base = lafortune_base(g, p, -1 if name == "lafortune" else 1)
-        return bool(abs(base) < CANCELLED * (abs(g.sideways) + p.ratio * g.cos_i * g.cos_o))
+        terms = sum(abs(g.light[axis] * g.eye[axis]) for axis in (0, 1)) + p.ratio * g.cos_i * g.cos_o
+        return bool(abs(base) < CANCELLED * terms)
     if name == "sgd":
         if min(sgd_masking(cosine, p) for cosine in (g.cos_i, g.cos_o)) < CANCELLED:
             return True
