@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analysis.checks.agreement import isotropy, mirror_symmetry, noise, reciprocity, repeats
+from analysis.checks.agreement import isotropy, levels, mirror_symmetry, noise, reciprocity, repeats
 from analysis.checks.finding import Finding, Verdict
 from analysis.checks.hemisphere import coverage, energy
-from analysis.checks.values import clipped, negatives
+from analysis.checks.values import clipped, missing, negatives
 from analysis.pairing import reciprocal_pairs, usable_samples
 
 if TYPE_CHECKING:
@@ -39,10 +39,12 @@ def check(samples: xr.Dataset) -> list[Finding]:
     reciprocal = reciprocal_pairs(usable)
     return [
         reciprocity(usable, reciprocal),
+        levels(usable, reciprocal),
         energy(usable),
         mirror_symmetry(usable),
         isotropy(usable),
         *repeats(usable),
+        missing(samples),
         negatives(usable),
         clipped(samples),
         coverage(usable),

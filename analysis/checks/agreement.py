@@ -18,6 +18,7 @@ from analysis.pairing import (
     SAME_RAD,
     Pairs,
     Usable,
+    incidences,
     isotropic_key,
     once,
     paired_by,
@@ -62,6 +63,42 @@ def reciprocity(usable: Usable, pairs: Pairs) -> Finding:
         meaning=meaning,
         where=place(usable, first[worst_pair]),
         samples=far_apart(usable, (first, second), difference, limits),
+    )
+
+
+def levels(usable: Usable, pairs: Pairs) -> Finding:
+    """Compare each incidence with the others through reciprocal pairs: a lamp that drifted, a lost gain."""
+    name, limits = "levels", (0.25, 0.50)
+    quantity = "largest median step of one incidence against its reciprocal pairs"
+    first, second, strict = pairs
+    size = np.maximum(np.abs(usable.f_r[first]), np.abs(usable.f_r[second]))
+    step = (usable.f_r[first] - usable.f_r[second]) / np.where(size > 0.0, size, 1.0)
+    largest, count, where, concerned = -1.0, 0, "", first[:0]
+    for incidence, chosen in incidences(usable):
+        one, other = np.isin(first, chosen), np.isin(second, chosen)
+        against = np.concatenate([step[one & ~other], -step[other & ~one]])
+        if len(against) < FEWEST_PAIRS:
+            continue
+        count += 1
+        middle = float(np.median(against))
+        if abs(middle) > largest:
+            largest, concerned = abs(middle), chosen
+            where = (
+                f"incidence near {incidence:g} deg is {abs(middle):.0%} too {'high' if middle > 0 else 'low'}"
+            )
+    if not count:
+        why = f"no incidence has {FEWEST_PAIRS} reciprocal pairs with others"
+        return not_tested(name, quantity, limits, len(first), why)
+    meaning = "lamp, gain or exposure changed from one incidence to the next, or a cosine is inside"
+    return judged(
+        name,
+        quantity,
+        largest,
+        limits,
+        count,
+        meaning=meaning + ("" if strict else "; isotropy assumed"),
+        where=where,
+        samples=usable.row[concerned] if largest > limits[0] else None,
     )
 
 

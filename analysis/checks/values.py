@@ -1,4 +1,4 @@
-"""Checks of single values: negative ones, and a floor that somebody put there."""
+"""Checks of single values: negative and missing ones, a floor or a ceiling that somebody put there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from analysis.checks.finding import Finding, judged, place
 if TYPE_CHECKING:
     import xarray as xr
 
-    from analysis.pairing import Usable
+    from analysis.pairing import Array, Usable
+
+FEWEST_EQUAL = 3
 
 
 def negatives(usable: Usable) -> Finding:
@@ -31,21 +33,52 @@ def negatives(usable: Usable) -> Finding:
     )
 
 
+def missing(samples: xr.Dataset) -> Finding:
+    """Count values that are no numbers, and that no flag explains."""
+    values, flags = samples["f_r"].to_numpy(), samples["flags"].to_numpy()
+    lost = ~np.isfinite(values) & (flags == 0)
+    rows = np.flatnonzero(lost.any(axis=1))
+    return judged(
+        "missing values",
+        "share of values that are no numbers, without a flag",
+        float(lost.mean()) if lost.size else 0.0,
+        (0.0, 0.5),
+        int(lost.sum()),
+        meaning="something went wrong before the file was written: they are left out of everything",
+        where=f"sample {rows[0]}" if rows.size else "",
+        samples=rows,
+    )
+
+
 def clipped(samples: xr.Dataset) -> Finding:
-    """Count values that all equal the smallest: a floor that somebody put there. Flagged ones count."""
+    """Count values, flagged ones too, that equal their channel's smallest or largest: a floor, a ceiling."""
     values = samples["f_r"].to_numpy()
-    finite = values[np.isfinite(values)]
-    floor = float(finite.min()) if finite.size else 0.0
-    count = int(np.count_nonzero(finite == floor))
-    # One smallest value is no floor, and a constant is a model, not a clipped measurement.
-    clipped_count = count if count >= 3 and np.any(finite != floor) else 0
+    names = [str(name) for name in samples["channel"].to_numpy()]
+    share, count, where, rows = 0.0, 0, "", np.zeros(0, dtype=np.intp)
+    bound = ""
+    for channel, column in enumerate(values.T):
+        finite = column[np.isfinite(column)]
+        for end, limit in (("floor", finite.min(initial=np.inf)), ("ceiling", finite.max(initial=-np.inf))):
+            equal = np.flatnonzero(column == limit)
+            if len(equal) / max(len(finite), 1) > share and _is_end(finite, limit, len(equal)):
+                share, count, rows = len(equal) / len(finite), len(equal), equal
+                bound, where = f"a {end} of {limit:g}", f"channel {names[channel]}, f_r = {limit:g}"
     return judged(
         "clipped values",
-        "share of values that equal the smallest",
-        clipped_count / max(finite.size, 1),
+        "share of a channel's values that equal its smallest, or its largest",
+        share,
         (0.01, 0.20),
-        clipped_count,
-        meaning=f"values were clipped at {floor:g}, or a model ends there: dark samples may be biased",
-        where=f"f_r = {floor:g}",
-        samples=np.flatnonzero((values == floor).any(axis=1)) if clipped_count else None,
+        count,
+        meaning=f"values were clipped at {bound}, or a model ends there: what lies beyond is lost",
+        where=where,
+        samples=rows,
     )
+
+
+def _is_end(finite: Array, limit: float, count: int) -> bool:
+    """Whether equal values are an end that somebody put there.
+
+    One is the smallest or largest, two may be a pair. A constant is a model, not a clipped measurement; but
+    nothing reflects nothing at all.
+    """
+    return count >= FEWEST_EQUAL and (bool(np.any(finite != limit)) or limit == 0.0)

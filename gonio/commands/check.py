@@ -1,10 +1,10 @@
 """Check BRDF samples of any laboratory: whether they are possible, and whether they agree with themselves.
 
 FILE is anything that gonio reads; its content tells the format. Each check gives a number, a threshold, a
-verdict (pass, warn, fail, or not tested, saying why), what it may mean and where to look: reciprocity,
-energy with the coverage behind it, mirror symmetry, isotropy, duplicates, repeatability, negatives, clipped
-values, coverage, noise against the stated uncertainty, and conventions. The exit code is 3 if a check
-fails.
+verdict (pass, warn, fail, or not tested, saying why), what it may mean and where to look: reciprocity, the
+levels of the incidences, energy with the coverage behind it, mirror symmetry, isotropy, duplicates,
+repeatability, missing values, negatives, clipped values, coverage, noise against the stated uncertainty, and
+conventions. The exit code is 3 if a check fails.
 
 Conventions: the file is read as degrees and radians, with zenith and azimuth or light and view exchanged,
 with the other sign or sense of angles, relative to the mirror direction, with and without a cosine; the

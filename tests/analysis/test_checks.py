@@ -108,6 +108,44 @@ def test_rows():
     assert clipped.verdict is Verdict.WARN
 
 
+@pytest.mark.parametrize(
+    ("factor", "verdict"), [(1.1, Verdict.PASS), (1.6, Verdict.WARN), (3.0, Verdict.FAIL)]
+)
+def test_one_incidence_at_another_level(factor, verdict):
+    """Catches a lamp that was turned up for one incidence, which the median over all pairs does not show."""
+    wi, wo = _grid()
+    one = np.isclose(wi[:, 2], np.cos(np.radians(35.0)))
+    finding = _found(make_samples(wi, wo, _value(wi, wo) * np.where(one, factor, 1.0)), "levels")
+    assert finding.verdict is verdict
+    assert finding.value == pytest.approx(1.0 - 1.0 / factor, rel=1e-6)
+    if verdict is not Verdict.PASS:
+        assert finding.where.startswith("incidence near 35 deg")
+        assert finding.where.endswith("too high")
+        np.testing.assert_array_equal(finding.samples, np.flatnonzero(one))
+
+
+def test_ends():
+    """Catches a saturated channel, a floor of one channel only, zeros everywhere, and lost numbers."""
+    wi, wo = _grid()
+    value = np.stack([_value(wi, wo), 2.0 * _value(wi, wo)], axis=1)
+    assert _found(make_samples(wi, wo, value), "clipped values").verdict is Verdict.PASS
+    ceiling = np.minimum(value, [np.inf, np.quantile(value[:, 1], 0.95)])
+    saturated = _found(make_samples(wi, wo, ceiling), "clipped values")
+    assert saturated.verdict is Verdict.WARN
+    assert saturated.value == pytest.approx(0.05, abs=0.005)
+    assert "a ceiling of" in saturated.meaning
+    assert saturated.where.startswith("channel 1")
+    floor = np.maximum(value, [np.quantile(value[:, 0], 0.3), 0.0])
+    assert _found(make_samples(wi, wo, floor), "clipped values").verdict is Verdict.FAIL
+    assert _found(make_samples(wi, wo, 0.0 * value), "clipped values").verdict is Verdict.FAIL
+    assert _found(make_samples(wi, wo, 0.0 * value + 1.0), "clipped values").verdict is Verdict.PASS
+    lost = make_samples(wi, wo, np.where(np.arange(len(wi))[:, None] == 7, np.nan, value))
+    assert _found(lost, "missing values").verdict is Verdict.WARN
+    assert _found(lost, "missing values").where == "sample 7"
+    lost["flags"][7] = 1
+    assert _found(lost, "missing values").verdict is Verdict.PASS
+
+
 def test_noise_against_the_stated_uncertainty():
     """Catches an uncertainty that is ten times too small."""
     wi, wo = _grid()
