@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,6 @@ from rig.files import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     import xarray as xr
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 WIDTH_IN, HEIGHT_IN = 7.2, 3.3
 MOST_INCIDENCES = 6
 MOST_POINTS = 6000
+FEW_POINTS = 300
+"""Up to so many are drawn larger."""
 SHOWN_READINGS = 6
 LEAD = "What physics and arithmetic say of the samples, before anybody believes them."
 FOOTER = (
@@ -75,7 +77,7 @@ def _section(file: str, samples: xr.Dataset, findings: list[Finding], diagnosis:
     )
     parts = [
         f"<section><h2>{escape(file)}</h2>",
-        sections.facts({"Verdict": worst(findings).value, "Size": size}),
+        sections.facts({"Verdict": worst(findings).value, "Size": size} | _source(file, samples)),
         _findings_table(findings),
         _notes(findings),
         _coverage(usable) if len(usable.wi) else "",
@@ -86,19 +88,37 @@ def _section(file: str, samples: xr.Dataset, findings: list[Finding], diagnosis:
     return "\n".join(part for part in parts if part)
 
 
+def _source(file: str, samples: xr.Dataset) -> dict[str, str]:
+    """Name what the samples come from, where the file's name does not: one of several materials, a blank."""
+    source = str(samples.attrs.get("source", ""))
+    return {} if not source or source == Path(file).name else {"Samples": source}
+
+
 def _findings_table(findings: Sequence[Finding]) -> str:
     rows = []
     for each in findings:
         verdict = escape(each.verdict.value)
         marked = f'<b class="far">{verdict}</b>' if verdict in {"warn", "fail"} else verdict
         limits = (sections.number(limit) for limit in (each.warn, each.fail))
-        rows.append([escape(each.name), marked, sections.number(each.value, ".4g"), *limits, str(each.count)])
-    return sections.table(["Check", "Verdict", "Number", "Warn above", "Fail above", "Of"], rows)
+        says = f'<span class="says">{escape(each.quantity)}</span>'
+        value = sections.number(each.value, ".4g")
+        rows.append([escape(each.name), marked, value, *limits, str(each.count), says])
+    head = [
+        "Check",
+        "Verdict",
+        "Number",
+        "Warn above",
+        "Fail above",
+        "From",
+        '<span class="says">Number is</span>',
+    ]
+    return sections.table(head, rows)
 
 
 def _notes(findings: Sequence[Finding]) -> str:
     items = {
-        each.name: f"{each.quantity}: {'; '.join(text for text in (each.meaning, each.where) if text)}"
+        each.name: f"{each.meaning[:1].upper()}{each.meaning[1:]}."
+        + f" Look at {each.where}." * bool(each.where)
         for each in findings
         if each.meaning
     }
@@ -172,7 +192,8 @@ def _reciprocity(usable: Usable) -> str:
     with figure(WIDTH_IN, HEIGHT_IN) as drawn:
         left, right = drawn.subplots(1, 2)
         if positive.any():
-            left.loglog(a[positive], b[positive], ".", ms=2.5, color=INK, mec="none", alpha=0.5)
+            size = 2.5 if len(a) > FEW_POINTS else 6.0
+            left.loglog(a[positive], b[positive], ".", ms=size, color=INK, mec="none", alpha=0.6)
             ends = [min(a[positive].min(), b[positive].min()), max(a[positive].max(), b[positive].max())]
             left.plot(ends, ends, lw=0.8, color=ACCENT)
         left.set_xlabel("$f_r$ of one, sr$^{-1}$")
@@ -182,7 +203,7 @@ def _reciprocity(usable: Usable) -> str:
             np.degrees(usable.theta_i[first]),
             np.degrees(usable.theta_o[first]),
             c=100.0 * difference,
-            s=6,
+            s=6 if len(a) > FEW_POINTS else 14,
             cmap="magma_r",
             vmin=0.0,
             vmax=max(10.0, float(100.0 * np.percentile(difference, 95))),
