@@ -116,13 +116,13 @@ def _findings_table(findings: Sequence[Finding]) -> str:
 
 
 def _notes(findings: Sequence[Finding]) -> str:
-    items = {
-        each.name: f"{each.meaning[:1].upper()}{each.meaning[1:]}."
-        + f" Look at {each.where}." * bool(each.where)
-        for each in findings
-        if each.meaning
-    }
+    items = {each.name: _note(each) for each in findings if each.meaning}
     return "<h3>What it may mean, and where to look</h3>" + sections.facts(items) if items else ""
+
+
+def _note(finding: Finding) -> str:
+    meaning = f"{finding.meaning[:1].upper()}{finding.meaning[1:]}."
+    return f"{meaning} Look at {finding.where}." if finding.where else meaning
 
 
 def _readings_table(diagnosis: Diagnosis) -> str:
