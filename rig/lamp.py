@@ -142,7 +142,7 @@ class Lamp:
             self._arm()
             self._line.command("OUTP ON")
             if not self.is_on():
-                self._require_closed_interlock()
+                self.require_closed_interlock()
                 raise DeviceLost(
                     "the light does not switch on", where=self.port, todo="check lamp and supply"
                 )
@@ -243,7 +243,7 @@ class Lamp:
             self._line.check(error, verb)
         if light != "1" and not dark and self.mode != "LAMP":
             self._line.command("SHUT:ABOR")
-            self._require_closed_interlock()
+            self.require_closed_interlock()
             raise Transient("the light went out before it", where=f"shot {shot_id}", todo="make it again")
         self._wait(state, before, shot_id, self.shutter_s(exposure_s))
         if dark:
@@ -257,9 +257,19 @@ class Lamp:
         if self.mode == "LAMP":
             self._arm()
         else:
-            if not self._lit():
-                self.on()
-            time.sleep(max(self._steady_from - time.monotonic(), 0.0))
+            self.burn()
+
+    def burn(self) -> None:
+        """Have the continuous light on, for as long as the photodiode looks back.
+
+        Raises
+        ------
+        Unsafe
+            If the interlock is open.
+        """
+        if not self._lit():
+            self.on()
+        time.sleep(max(self._steady_from - time.monotonic(), 0.0))
 
     def _lit(self) -> bool:
         return self._heart is not None and self.is_on()
@@ -284,7 +294,7 @@ class Lamp:
         self._explain_failure(before, count, echo, shot_id)
 
     def _explain_failure(self, before: int, count: int, echo: str, shot_id: str) -> None:
-        self._require_closed_interlock()
+        self.require_closed_interlock()
         self._line.check(self._line.query("SYST:ERR?"), "expose")
         if count <= before:
             raise Transient("the exposure was cut short", where=f"shot {shot_id}", todo="make it again")
@@ -340,6 +350,13 @@ class Lamp:
             raise DeviceLost(f"SHUT? answers {answer!r}", where=self.port, todo="update its firmware")
         return parts[0], int(parts[1]), parts[2]
 
-    def _require_closed_interlock(self) -> None:
+    def require_closed_interlock(self) -> None:
+        """Pass only if the interlock is closed.
+
+        Raises
+        ------
+        Unsafe
+            If it is open.
+        """
         if not self.interlock_closed():
             raise Unsafe("the interlock is open", where=self.port, todo="close the dark room, then run again")

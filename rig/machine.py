@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from rig.bus import ServoBus
+from rig.cameras.gphoto import Tether
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
 from rig.handshake import Handshake, ServoSpec
 from rig.hotfolder import FrameFacts, HotFolder, Stray
@@ -21,6 +22,7 @@ from rig.owner import PortOwner
 from rig.servos import Servos
 from rig.stop_report import PartStop, StopOutcome, StopReport
 from rig.ticks import rad_to_ticks, ticks_to_rad
+from rig.trigger import LampTrigger, Trigger, UsbTrigger
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -211,6 +213,10 @@ class Machine:
         )
         self._exits.append(self.lamp.close)
         self.lamp.set_up()
+        self._trigger: Trigger = LampTrigger(self.lamp)
+        if rig.camera.kind == "gphoto" and inspect is not None:
+            self._trigger = UsbTrigger(Tether(rig.camera.serial), self.lamp, rig.ports.frames)
+            self._exits.append(self._trigger.close)
         names = {joint.id: joint.name for joint in rig.joints}
         bus = ServoBus(rig.ports.servos, rig.bus.baud, names=names)
         self._exits.append(bus.close)
@@ -324,13 +330,13 @@ class Machine:
         if not dark:
             self._warm_up()
         mark = self.camera.mark()
-        self.lamp.expose(exposure_s, shot_id, dark=dark)
+        shutter_s = self._trigger.expose(exposure_s, shot_id, dark=dark)
         self.lamp_output = math.nan if dark else self.lamp.output()
         self.arms.require_held()
         self._require_running()
         picture = self.camera.wait_for(
             shot_id,
-            self.lamp.shutter_s(exposure_s),
+            shutter_s,
             mark,
             self.rig.camera.file_timeout_s,
             lit=not dark,

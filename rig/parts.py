@@ -114,7 +114,11 @@ class Lamp(Part):
 class Camera(Part):
     """The camera: a pinhole that faces the sample's centre. The first pixel's centre is (0, 0)."""
 
-    kind: Literal["hotfolder"] = Field("hotfolder", description="hotfolder: RAW files arrive in ports.frames")
+    kind: Literal["hotfolder", "gphoto"] = Field(
+        "hotfolder",
+        description="hotfolder: triggered by the lamp controller, RAW files arrive in ports.frames; "
+        "gphoto: on USB, triggered and downloaded into ports.frames by this program",
+    )
     serial: str = Field("", description="serial number that every file must carry; empty: not checked")
     distance_mm: float = Field(
         600.0, gt=0, le=100_000, description="entrance pupil to sample, above 0 to 100000 mm"

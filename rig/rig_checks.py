@@ -42,6 +42,10 @@ def contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
             camera.shortest_exposure_s,
             f"at most longest_exposure_s = {camera.longest_exposure_s:g}",
         )
+    if camera.kind == "gphoto" and rig.lamp.mode != "BULB":
+        yield cross_field(
+            "lamp.mode", rig.lamp.mode, 'BULB: a camera of kind "gphoto" needs light that burns'
+        )
     column, row = camera.principal_point_px
     if not (-0.5 <= column <= camera.width_px - 0.5 and -0.5 <= row <= camera.height_px - 0.5):
         yield cross_field(
