@@ -60,8 +60,8 @@ def profile_intervals(result: FitResult, level: float = LEVEL, *, scales: bool =
     quantile = np.asarray(stdtrit(freedom, 0.5 + 0.5 * level))
     ends = np.empty((len(result.names), 2))
     for block in result.state.blocks:
-        rows = result.state.layout.rows_of(block.channels)
-        ends[rows] = _Profile(result, block).intervals(quantile[rows], scales=scales)
+        own = result.state.layout.rows_of(block.channels)
+        ends[own] = _Profile(result, block).intervals(quantile[own], scales=scales)
     found = {}
     for name in result.parameters:
         rows = [i for i, (other, _) in enumerate(result.names) if other == name]

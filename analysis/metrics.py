@@ -49,9 +49,12 @@ def goodness(
     dict of str to float
         The metrics; one that has no data to stand on is NaN.
     """
-    rows = np.nonzero(used)[0]
-    f, d, x = fitted[used], data[used], wi[rows, 2]
-    weight = np.hypot(wi[rows, 0], wi[rows, 1]) * np.hypot(wo[rows, 0], wo[rows, 1])
+    solid = np.hypot(wi[:, 0], wi[:, 1]) * np.hypot(wo[:, 0], wo[:, 1])
+    if used.all():
+        rows, (f, d) = np.repeat(np.arange(len(wi)), data.shape[1]), (fitted.ravel(), data.ravel())
+    else:
+        rows, f, d = np.nonzero(used)[0], fitted[used], data[used]
+    x, weight = wi[rows, 2], solid[rows]
     positive = d > 0.0
     metrics = {
         "rms_log": _rms(log_one_plus(f * x) - log_one_plus(d * x)),

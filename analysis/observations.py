@@ -141,7 +141,7 @@ def check_enough(data: Observations, model: type[Model], *, shared: bool = True)
     scales = sum(p.kind is not Kind.SHAPE for p in model.PARAMETERS)
     each = scales if shared else needed
     for channel, rows in zip(data.channels, data.used.T, strict=True):
-        found = _different_pairs(data.wi[rows], data.wo[rows], each)
+        found = directions if rows.all() else _different_pairs(data.wi[rows], data.wo[rows], each)
         if found < each:
             raise BadInput(
                 f"channel {channel} has {found} different pairs of directions for {each} parameters",

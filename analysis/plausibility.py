@@ -131,9 +131,11 @@ def _require_noise(data: Observations) -> None:
 
 def _require_one_unit(data: Observations, beside: NDArray[np.bool_]) -> None:
     """Look for a step by such a factor between incidences of a channel, or between channels."""
+    _, light = np.unique(np.round(data.wi, 4), axis=0, return_inverse=True)
+    light = light.ravel()
     for c, name in enumerate(data.channels):
         rows = np.flatnonzero(beside & data.used[:, c] & (data.f_r[:, c] > 0.0))
-        step = _step_between(_levels(data.wi[rows], np.log(np.maximum(data.f_r[rows, c], 1e-300))))
+        step = _step_between(_levels(light[rows], np.log(np.maximum(data.f_r[rows, c], 1e-300))))
         if step is not None:
             raise BadInput(
                 f"f_r steps by a factor of {step} from some incidences to the others, and not within either",
@@ -156,14 +158,10 @@ def _require_one_unit(data: Observations, beside: NDArray[np.bool_]) -> None:
             )
 
 
-def _levels(wi: Array, log_f: Array) -> Array:
-    """Median of ln f by direction of the light, of those with enough samples."""
-    if not len(wi):
-        return np.zeros(0)
-    _, group = np.unique(np.round(wi, 4), axis=0, return_inverse=True)
-    group = group.ravel()
-    counts = np.bincount(group)
-    return np.array([np.median(log_f[group == g]) for g in np.flatnonzero(counts >= FEWEST)])
+def _levels(light: NDArray[np.intp], log_f: Array) -> Array:
+    """Median of ln f by number of the light's direction, of those with enough samples."""
+    counts = np.bincount(light)
+    return np.array([np.median(log_f[light == each]) for each in np.flatnonzero(counts >= FEWEST)])
 
 
 def _step_between(levels: Array) -> str | None:

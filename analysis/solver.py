@@ -38,9 +38,10 @@ REWEIGHTED = 3
 """Times that the scan solves for scales under a loss that is not linear in f."""
 RIVAL = 1.5
 """Cost on few samples, as a multiple of the best, up to which a minimum may be the best on all."""
-TOLERANCE = 1e-11
-GRID_TOLERANCE, ROUGH_TOLERANCE = 1e-3, 1e-5
-"""For telling minima apart: those of a grid lie further from one another than those of more shapes."""
+TOLERANCE = 1e-10
+FEW_TOLERANCE, GRID_TOLERANCE, ROUGH_TOLERANCE = 1e-2, 1e-4, 1e-5
+"""For basins of a grid on few samples, and for telling minima apart: those of a grid lie further from one
+another than those of more shapes."""
 MOST_STEPS = 300
 APART = 1e-3
 """Distance in search coordinates from which on two minima are two."""
@@ -130,7 +131,7 @@ def _candidates(problem: Problem, loss: Loss) -> list[Solution]:
         grid = starts.grid(problem, slope)
         tried = _evaluate(_some(problem, loss, SPARSE if count <= SPARSE else SCANNED), grid.points)
         chosen = [tried[i] for i in grid.basins(np.array([each.cost for each in tried]))]
-        return _distinct(_refine(_some(problem, loss, FEW), chosen, _rough(problem)))
+        return _distinct(_refine(_some(problem, loss, FEW), chosen, FEW_TOLERANCE))
     scanned = _some(problem, loss, FEW)
     tried = _apart(problem, _evaluate(scanned, starts.spread(problem, slope)), starts.TRIED)
     tried = _refine(scanned, tried, ROUGH_TOLERANCE, most=FIRST_STEPS)
