@@ -2,12 +2,12 @@
 
 A GGX surface over Lambert is measured at 400 pairs of directions, a third anywhere, two thirds around the
 mirror direction, with 1 and 5 % noise, for widths of the lobe from 0.05 to 0.6. The intervals are value plus
-or minus 1.96 u. Draws whose fit warns (a parameter on its bound, kd and ks that trade) are counted apart, as
-a reader of the warning would.
+or minus 1.96 u. Draws whose fit says that something is not determined are counted apart, as a reader of the
+caution would; data set aside, and kd and ks that trade under a wide lobe, leave u standing and count.
 
-The same surfaces, and some with the lobe of Cook-Torrance, then state no uncertainty, with
-noise in proportion to the value or constant, and fitted under every loss that can do without. These cells have
-fewer draws; widths and parameters are pooled, and the least of the single coverages is given beside.
+The same surfaces, and some with the lobe of Cook-Torrance, then state no uncertainty, with noise in proportion
+to the value or constant, and are fitted under every loss that can do without. These cells have fewer draws;
+widths and parameters are pooled, and the least of the single coverages is given beside.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ UNSTATED_MODELS = {"ggx": "alpha", "cook-torrance-schlick": "m"}
 UNSTATED_LOSSES = ("l2", "log", "cbrt", "robust")
 UNSTATED_NOISES = {"in proportion, 5 %": (0.05, 0.0), "constant": (0.0, 0.05)}
 """Noise as shares of the value and of the median value."""
+STANDING = {Kind.OUTLIERS, Kind.KD_KS}
+"""Cautions beside which u is what it says."""
 MOST_WARNED = 0.2
 """Share of draws with a warning from which on a cell is listed apart."""
 
@@ -112,8 +114,7 @@ def _count(draw: Callable[[], FitResult], truth: dict[str, float], alpha: float,
     alphas, warned = [], 0
     for _ in range(draws):
         result = draw()
-        # A robust fit always says what it set aside.
-        if any(caution.kind is not Kind.OUTLIERS for caution in result.cautions):
+        if any(caution.kind not in STANDING for caution in result.cautions):
             warned += 1
             continue
         alphas.append(float(result.parameters[list(truth)[2]]))
