@@ -5,9 +5,9 @@ mirror direction, with 1 and 5 % noise, for widths of the lobe from 0.05 to 0.6.
 or minus 1.96 u. Draws whose fit says that something is not determined are counted apart, as a reader of the
 caution would; data set aside, and kd and ks that trade under a wide lobe, leave u standing and count.
 
-The same surfaces, and some with the lobe of Cook-Torrance, then state no uncertainty, with noise in proportion
-to the value or constant, and are fitted under every loss that can do without. These cells have fewer draws;
-widths and parameters are pooled, and the least of the single coverages is given beside.
+The same surfaces, and some with the lobe of Cook-Torrance, then state no uncertainty, with noise in
+proportion to the value or constant, and are fitted under every loss that can do without. These cells have
+fewer draws; widths and parameters are pooled, and the least of the single coverages is given beside.
 """
 
 from __future__ import annotations
