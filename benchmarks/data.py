@@ -1,8 +1,10 @@
 """Every number that other laboratories' data are held to, part by part.
 
 The parts can be run alone: data_rt300s (published tables from raw files, reading time, repeatability),
-data_mwir (what `gonio check` says of the published cosine), data_rgl (tables for renderers), doctor
-(conventions corrupted on purpose).
+data_mwir (what `gonio check` says of the published cosine, emissivity), data_exchange (which format claims
+which file, Radiance's own tools), data_rgl (tables for renderers), data_damaged (damaged files), doctor
+(conventions corrupted on purpose). All of them take about half an hour; `benchmarks/data_page.py` sets what
+they print into docs/data.md.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-PARTS = ("data_rt300s", "data_mwir", "data_rgl", "doctor")
+PARTS = ("data_rt300s", "data_mwir", "data_exchange", "data_rgl", "data_damaged", "doctor")
 """Modules beside this one, quick ones first."""
 
 

@@ -24,6 +24,7 @@ from analysis.formats.scattered import interpolant_of, usable
 from analysis.formats.tensor import read_tensors
 from analysis.pairing import usable_from, usable_samples
 from analysis.samples import read
+from benchmarks.data_plots import draw_reciprocity
 from benchmarks.rows import row
 from gonio.output import say
 from rig.angles import spherical_to_direction
@@ -55,10 +56,19 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     BadInput
         If the data are not at hand.
     """
-    del plots
     if not RADIANCE.is_file():
         raise BadInput("the shared measurements are not at hand", where=str(FOLDER), todo="put them there")
-    return [*reciprocity_rows(), *emissivity_rows(), *known_rows()]
+    known = list(_known_albedos())
+    if plots is not None:
+        both = [
+            {
+                name: 100.0 * _reciprocity(read(RADIANCE, material=name, as_published=published)).value
+                for name in materials()
+            }
+            for published in (True, False)
+        ]
+        draw_reciprocity(plots / "mwir.png", *both, known)
+    return [*reciprocity_rows(), *emissivity_rows(), *known_rows(known)]
 
 
 def reciprocity_rows() -> list[dict[str, Any]]:
@@ -82,6 +92,14 @@ def reciprocity_rows() -> list[dict[str, Any]]:
     ]
 
 
+def _violations(*, published: bool) -> dict[str, float]:
+    """Return the median reciprocity violation of each material, in percent."""
+    return {
+        name: 100.0 * _reciprocity(read(RADIANCE, material=name, as_published=published)).value
+        for name in materials()
+    }
+
+
 def emissivity_rows() -> list[dict[str, Any]]:
     """Compare each material's emissivity with 1 - albedo, or say why that is refused."""
     rows, compared, refused = [], 0, 0
@@ -103,22 +121,27 @@ def emissivity_rows() -> list[dict[str, Any]]:
     ]
 
 
-def known_rows() -> list[dict[str, Any]]:
+def known_rows(albedos: list[Array]) -> list[dict[str, Any]]:
     """Compare albedos from one side of the plane of incidence with those of whole hemispheres."""
-    pulls = []
+    true, found, u = np.array(albedos).T
+    pulls = np.abs(true - found) / u
+    return [
+        row("albedos known and from one side of the plane: compared", len(pulls)),
+        row("their largest difference over u", np.max(pulls), "", 2.0),
+        row("root mean square of the differences over u", np.sqrt(np.mean(np.square(pulls))), "", 1.0),
+    ]
+
+
+def _known_albedos() -> Iterator[Array]:
+    """Give the true albedo, the one from one side of the plane, and its u, where that is small enough."""
     for evaluate in _known_surfaces():
         usable = _seen_in_plane(evaluate)
         described = InPlane(usable)
         for view in KNOWN_VIEWS:
             chosen = np.isclose(usable.theta_i, np.radians(view))
             found = described.albedo(usable_from(*(column[chosen] for column in usable[:3])))
-            true = _whole_albedo(evaluate, np.radians(view))
-            pulls += [abs(true - found.middle) / found.u] if found.u <= WIDEST else []
-    return [
-        row("albedos known and from one side of the plane: compared", len(pulls)),
-        row("their largest difference over u", np.max(pulls), "", 2.0),
-        row("root mean square of the differences over u", np.sqrt(np.mean(np.square(pulls))), "", 1.0),
-    ]
+            if found.u <= WIDEST:
+                yield np.array([_whole_albedo(evaluate, np.radians(view)), found.middle, found.u])
 
 
 def _known_surfaces() -> Iterator[Evaluate]:

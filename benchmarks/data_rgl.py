@@ -25,6 +25,7 @@ from analysis.formats.scattered import interpolant_of, usable
 from analysis.formats.tensor import read_tensors, write_tensors
 from analysis.models import MODELS
 from analysis.samples import make_samples, read, write
+from benchmarks.data_plots import draw_errors
 from benchmarks.rows import row
 from gonio.output import say
 from rig.angles import spherical_to_direction
@@ -58,16 +59,19 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     BadInput
         If the files are not at hand.
     """
-    del plots
     paths = sorted(FOLDER.glob("*.bsdf"))
     if not paths:
         raise BadInput("the shared measurements are not at hand", where=str(FOLDER), todo="put them there")
     with tempfile.TemporaryDirectory() as folder:
-        rows = [row for path in paths for row in _file_rows(path, Path(folder))]
+        errors: dict[str, dict[int, Array]] = {path.stem: {} for path in paths}
+        rows = [row for path in paths for row in _file_rows(path, Path(folder), errors[path.stem])]
+        if plots is not None:
+            draw_errors(plots / "rgl.png", errors, TARGET_PERCENT)
         return [*rows, _few_samples_row(), *_merl_rows(Path(folder))]
 
 
-def _file_rows(path: Path, folder: Path) -> list[dict[str, Any]]:
+def _file_rows(path: Path, folder: Path, errors: dict[int, Array]) -> list[dict[str, Any]]:
+    """Write a file back and make it again; `errors` gets those of the tables, by number of samples."""
     table = Table(read_tensors(path), str(path))
     say(f"  {path.stem}: written back and re-sampled, about two minutes")
     again = folder / "again.bsdf"
@@ -94,6 +98,7 @@ def _file_rows(path: Path, folder: Path) -> list[dict[str, Any]]:
         off = true < PEAK_FRACTION * true.max(axis=0)
         for count, file in made.items():
             error = 100.0 * (np.abs(_by_mitsuba(variant, file) - true) / size)[off]
+            errors[count] = error
             target = TARGET_PERCENT if count == max(PAIRS) else None
             what = f"{name}: from {count} samples, off the peak"
             rows += [

@@ -15,7 +15,9 @@ import numpy as np
 
 from analysis.formats.rt300s import read_readings
 from analysis.recipes import reduce_files
+from analysis.recipes.recipe import load
 from analysis.samples import read
+from benchmarks.data_plots import draw_repeatability
 from benchmarks.rows import row
 from rig.angles import direction_to_spherical, wrap
 from rig.errors import BadInput
@@ -49,9 +51,10 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     BadInput
         If the data are not at hand.
     """
-    del plots
     if not BLANK.is_file():
         raise BadInput("the shared measurements are not at hand", where=str(DATA), todo="put them there")
+    if plots is not None:
+        _draw(plots / "rt300s.png")
     return [*fred_rows(), *zemax_rows(), *reading_rows(), *repeatability_rows()]
 
 
@@ -144,6 +147,18 @@ def repeatability_rows() -> list[dict[str, Any]]:
         row(f"{name}: least u_f_r over its floor", over_floor, "", 1.0 - 1e-9, at_least=True),
         row(f"{name}: median of the stated u_f_r / f_r of the mean", 100.0 * relative, "%"),
     ]
+
+
+def _draw(path: Path) -> None:
+    """Draw how the files of the steel differ, cell by cell, and what the recipes state of one."""
+    readings = [read(RAW / f"{name}.xls", blank=BLANK) for name in STEEL]
+    cosine = np.pi * readings[0]["wo"].to_numpy()[:, 2]
+    good = readings[0]["flags"].to_numpy()[:, 0] == 0
+    values = np.stack([each["f_r"].to_numpy()[good, 0] * cosine[good] for each in readings])
+    (step,) = [step for step in load("rt300s").step if step.name == "repeatability"]
+    level = np.geomspace(max(values.mean(axis=0).min(), step.additive), values.max(), 100)
+    stated = np.hypot(step.additive, step.relative * level)
+    draw_repeatability(path, values.mean(axis=0), values.std(axis=0, ddof=1), (level, stated))
 
 
 def _reduced(files: tuple[str, ...], recipe: str) -> xr.Dataset:

@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from benchmarks.rows import met, table
+
 HEAD = "## Numbers of the fits"
 BEFORE = "## The models"
 _SECTION = re.compile(rf"{HEAD}\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
@@ -31,15 +33,7 @@ from four starts, written in `benchmarks/fit_plain.py`.
 
 def section(results: list[dict[str, Any]]) -> str:
     """Set rows of `gonio bench` as a section with one table."""
-    lines = ["| what | value | target | |", "| --- | --- | --- | --- |"]
-    for each in results:
-        value = "-" if each["value"] is None else f"{each['value']:.4g}"
-        target = "" if each["target"] is None else f"{each['target']:g}"
-        verdict = "" if each["target"] is None else "met" if each["ok"] else "**missed**"
-        lines.append(f"| {each['name']} | {value} {each['unit']} | {target} | {verdict} |")
-    missed = sum(not each["ok"] for each in results)
-    targets = sum(each["target"] is not None for each in results)
-    return "\n".join([_TEXT, *lines, "", f"{targets - missed} of {targets} targets are met.", "", ""])
+    return "\n".join([_TEXT, *table(results), "", met(results), "", ""])
 
 
 def kept(page: str) -> str:

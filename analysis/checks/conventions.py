@@ -14,17 +14,16 @@ def conventions(diagnosis: Diagnosis) -> Finding:
     limits = (0.0, DECIDED)
     if not diagnosis.ranked:
         return not_tested(name, quantity, limits, diagnosis.count, diagnosis.words)
-    declared = [
-        each.log_odds for each in diagnosis.ranked if not all(r.steps for r in (each.reading, *each.same))
-    ]
-    others = [each for each in diagnosis.ranked if all(r.steps for r in (each.reading, *each.same))]
+    declared = [each.log_odds for each in diagnosis.ranked if not all(r.steps for r in each.group)]
+    others = [each for each in diagnosis.ranked if all(r.steps for r in each.group)]
     best = others[0].log_odds if others else -np.inf
     value = best - declared[0] if declared else np.inf
     where = "gonio check --conventions ranks the readings"
-    if value > DECIDED:
+    if not diagnosis.as_declared:
         verdict, meaning = Verdict.FAIL, f"not as declared: {diagnosis.words}"
-    elif value > -DECIDED:
+    elif not diagnosis.decided:
         verdict, meaning = Verdict.NOT_TESTED, diagnosis.words
+        where = diagnosis.to_decide or where
     else:
         verdict, meaning, where = Verdict.PASS, "", ""
     return Finding(name, quantity, float(value), *limits, diagnosis.count, verdict, meaning, where)

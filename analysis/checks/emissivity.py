@@ -18,7 +18,7 @@ from analysis.checks.finding import Finding, judged, not_tested
 from analysis.checks.hemisphere import directional_albedo
 from analysis.checks.in_plane import FEWEST_DIRECTIONS, InPlane, Range
 from analysis.formats.text import number, read_lines
-from analysis.pairing import INCIDENCE_BIN_DEG, Array, Indices, Usable, incidences
+from analysis.pairing import INCIDENCE_BIN_DEG, Array, Indices, Usable, incidences, usable_from
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -216,5 +216,5 @@ def _judged_range(albedo: Range) -> tuple[float, float] | str:
 
 
 def _together(views: list[Usable]) -> Usable:
-    columns = zip(*views, strict=True)
-    return Usable(*(None if column[0] is None else np.concatenate(column) for column in columns))
+    wi, wo, f_r = (np.concatenate(column) for column in zip(*(view[:3] for view in views), strict=True))
+    return usable_from(wi, wo, f_r)

@@ -4,7 +4,7 @@ Views beside the plane of incidence and on the light's side were not measured. I
 each of several descriptions says what lies there: models of facets, a trend of half and grazing angles, and
 a lobe that is round about the mirror direction. They share what was measured and differ in the rest; how
 much, tells how little is known. `gonio bench data_mwir` holds the uncertainty that follows against materials
-whose whole hemisphere is known: the error is nowhere above 1.3 times that.
+whose whole hemisphere is known: no error is above 1.5 times that.
 """
 
 from __future__ import annotations

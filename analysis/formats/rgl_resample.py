@@ -104,8 +104,10 @@ def resample(samples: xr.Dataset) -> tuple[dict[str, NDArray[Any]], Loss]:
         grid = _nodes(between, profile, theta_i, side, channels)
         tensors = tensors_of(grid.theta_i, grid.values, profile, wavelengths, source)
         back = Table(tensors, "samples").evaluate(given.wi, given.wo) / given.wo[:, 2:]
-        cells = {"cells": grid.cells, "filled": grid.filled}
-        return tensors, compared(samples, *given[:3], back, **cells, kept=("wavelength_nm", LAYOUT))
+        loss = compared(
+            samples, *given[:3], back, cells=grid.cells, filled=grid.filled, kept=("wavelength_nm", LAYOUT)
+        )
+        return tensors, loss
 
     side = _side(interpolant)
     tensors, loss = made(side)

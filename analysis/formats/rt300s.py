@@ -104,9 +104,8 @@ def reduced(
         readings = step.apply(readings, Given(blank=blank))
     samples = to_samples(readings, source=source)
     stated = samples["u_f_r"].assign_attrs(units=UNITS["u_repeatability"])
-    return samples.drop_vars([name for name in samples if name.startswith("u_")]).assign(
-        u_repeatability=stated
-    )
+    columns = [name for name in samples.data_vars if str(name).startswith("u_")]
+    return samples.drop_vars(columns).assign(u_repeatability=stated)
 
 
 def as_readings(path: Path) -> Readings:
