@@ -70,14 +70,20 @@ def from_residuals(normal: NormalEquations, loss: Loss, f: Array, scatter: Array
     per_unit = plain.weight()
     per_unit = np.divide(1.0, per_unit, out=np.zeros_like(per_unit), where=per_unit > 0.0)
     coordinates = normal.influence.shape[-1]
-    spare = float(max(int(loss.counted.sum()) - coordinates, 1))
+    spare = float(int(loss.counted.sum()) - coordinates)
+    if spare < 1.0:
+        # As many data as coordinates are met whatever they are, and say nothing of their errors.
+        unknown = normal.among_all(np.full(coordinates, np.inf), np.inf)
+        return Unstated(np.zeros_like(f), np.diag(unknown), np.full(len(unknown), 1.0))
     if scatter is not None:
         u = scatter * per_unit
         moves = u.reshape(-1, 1) * normal.influence
         return Unstated(u, normal.propagated(moves), normal.among_all(np.full(coordinates, spare), np.inf))
     left = 1.0 - normal.leverages()
     known = loss.used & (left > LEAST_FREE)
-    square = np.square(plain.residual(f)) / np.where(known, left, 1.0)
+    # A channel that is met throughout tells its noise as well as it can.
+    known = np.where(known.any(axis=0), known, loss.used)
+    square = np.square(plain.residual(f)) / np.where(known, np.maximum(left, LEAST_FREE), 1.0)
     variance = noise_variance(square, f, plain.slope(f), known)
     u = np.sqrt(variance) * per_unit
     moves = u.reshape(-1, 1) * normal.influence

@@ -127,3 +127,18 @@ def test_a_curved_measure_is_off_by_what_the_noise_bends_it():
     )
     linear = make_loss("l2", data, np.ones(f.shape, bool), cos, None)
     assert not bend(linear, f, u).any()
+
+
+def test_as_many_data_as_parameters_say_nothing_of_their_errors():
+    """Catches a u of zero, or a crash, where every datum is met."""
+    wi, wo = (
+        spherical_to_direction(np.array([0.2, 0.2]), np.zeros(2)),
+        spherical_to_direction(np.array([0.2, 1.2]), np.full(2, np.pi)),
+    )
+    exact = MODELS["cook-torrance"](kd=0.2, ks=0.5, m=0.4, ior=1.5).evaluate(
+        *directions(4, np.random.default_rng(1))
+    )
+    few = make_samples(*directions(4, np.random.default_rng(1)), exact)
+    assert np.isinf(fit(few, "cook-torrance").u["m"])
+    one = make_samples(wi, wo, np.array([[0.1, 0.1], [0.1, np.nan]]))
+    assert fit(one, "lambert").u["kd"][0] < 1e-9
