@@ -23,7 +23,7 @@ from rig.errors import Refused, Transient
 if TYPE_CHECKING:
     from capture.examine import CameraFacts, Examiner
     from capture.journal import Journal
-    from rig.machine import HeldPose
+    from rig.arms import HeldPose
 
 Messages: TypeAlias = Generator[Msg, Any, None]
 """A Bluesky plan."""

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from rig.machine import HeldPose, Machine
+    from rig.arms import HeldPose
+    from rig.machine import Machine
 
 Reading = dict[str, dict[str, Any]]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
+from rig.arms import Arms
 from rig.bus import ServoBus
 from rig.cameras.gphoto import Tether
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
@@ -21,7 +21,6 @@ from rig.lamp import Lamp
 from rig.owner import PortOwner
 from rig.servos import Servos
 from rig.stop_report import PartStop, StopOutcome, StopReport
-from rig.ticks import rad_to_ticks, ticks_to_rad
 from rig.trigger import LampTrigger, Trigger, UsbTrigger
 
 if TYPE_CHECKING:
@@ -29,141 +28,10 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from rig.description import Joint, Rig
+    from rig.arms import HeldPose
+    from rig.description import Rig
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class HeldPose:
-    """Where the arms verifiably stand.
-
-    Attributes
-    ----------
-    ticks : tuple of int
-        Measured positions of all servos, in the order of the rig file.
-    angles_rad : tuple of float
-        Measured angles of `rig.arm_joints`, without the station wheel.
-    station : str or None
-        Station at the centre; None without a wheel, or where no station stands there.
-    """
-
-    ticks: tuple[int, ...]
-    angles_rad: tuple[float, ...]
-    station: str | None
-
-
-class Arms:
-    """Moves the joints of a machine, in radians.
-
-    Parameters
-    ----------
-    rig : Rig
-    servos : Servos
-    stopped : callable
-        Whether the machine has been stopped.
-    """
-
-    def __init__(self, rig: Rig, servos: Servos, stopped: Callable[[], bool]) -> None:
-        self._rig, self._servos, self._stopped = rig, servos, stopped
-        self.held: HeldPose | None = None
-        """The last verified pose; None before the first move and while moving."""
-
-    def move(self, angles_rad: Sequence[float], station: str | None = None) -> HeldPose:
-        """Move all arms together, and the wheel if a station is named; return when they verifiably stand.
-
-        Parameters
-        ----------
-        angles_rad : sequence of float
-            One angle for each of `rig.arm_joints`.
-        station : str, optional
-            What the wheel brings to the centre; None leaves it as it is.
-
-        Raises
-        ------
-        BadInput
-            If there is no such station, or the number of angles is wrong.
-        Refused
-            If an angle lies outside its limits, or the machine was stopped.
-        Unsafe, DeviceLost
-            As for `Servos.move`.
-        """
-        goals = self._goals(angles_rad, station)
-        self.held = None
-        self.held = self._pose(self._servos.move(goals, cancelled=self._stopped))
-        return self.held
-
-    def measure(self) -> HeldPose:
-        """Where the arms are now, moving or not.
-
-        Raises
-        ------
-        DeviceLost
-            If a servo does not answer.
-        """
-        return self._pose(self._servos.present())
-
-    def require_held(self) -> HeldPose:
-        """Pass only if the arms stand where the last move left them.
-
-        Raises
-        ------
-        Refused
-            If nothing has been moved to yet.
-        Unsafe
-            If an arm moves or has left its place.
-        """
-        held = self.held
-        if held is None:
-            raise Refused("the arms hold no verified pose", where=self._rig.name, todo="move them first")
-        self._servos.require_held(
-            {joint.id: ticks for joint, ticks in zip(self._rig.joints, held.ticks, strict=True)}
-        )
-        return held
-
-    def _goals(self, angles_rad: Sequence[float], station: str | None) -> dict[int, int]:
-        joints = self._rig.arm_joints
-        if len(angles_rad) != len(joints):
-            names = ", ".join(joint.name for joint in joints)
-            raise BadInput(f"{len(angles_rad)} angles", where="pose", todo=f"give {len(joints)}: {names}")
-        goals = {
-            joint.id: _goal_ticks(joint, float(angle))
-            for joint, angle in zip(joints, angles_rad, strict=True)
-        }
-        if station is not None:
-            wheel = self._rig.station_joint
-            if wheel is None or station not in self._rig.stations:
-                known = ", ".join(self._rig.stations) or "none: the machine has no wheel"
-                raise BadInput(f"no station {station!r}", where="pose", todo=f"stations are {known}")
-            goals[wheel.id] = _goal_ticks(wheel, math.radians(self._rig.stations[station].angle_deg))
-        return goals
-
-    def _pose(self, present: dict[int, int]) -> HeldPose:
-        ticks = tuple(present[joint.id] for joint in self._rig.joints)
-        angles = tuple(ticks_to_rad(joint, present[joint.id]) for joint in self._rig.arm_joints)
-        return HeldPose(ticks, angles, self._station(present))
-
-    def _station(self, present: dict[int, int]) -> str | None:
-        wheel = self._rig.station_joint
-        if wheel is None:
-            return None
-        turn_deg = math.degrees(ticks_to_rad(wheel, present[wheel.id]))
-        for name, station in self._rig.stations.items():
-            if abs(turn_deg - station.angle_deg) <= wheel.tolerance_deg + 0.1:
-                return name
-        return None
-
-
-def _goal_ticks(joint: Joint, angle_rad: float) -> int:
-    low, high = joint.limits_deg
-    angle_deg = math.degrees(angle_rad)
-    if not low - 1e-6 <= angle_deg <= high + 1e-6:
-        raise Refused(
-            f"{joint.name} would go to {angle_deg:.2f} degrees, allowed are {low:g} to {high:g}",
-            where="pose",
-            todo="choose another pose, or change limits_deg in the rig file if the machine can do it",
-        )
-    return rad_to_ticks(joint, angle_rad)
 
 
 class Machine:

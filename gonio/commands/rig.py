@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    from rig.arms import HeldPose
     from rig.description import Rig
-    from rig.machine import HeldPose, Machine
+    from rig.machine import Machine
 
 EXAMPLE = "gonio rig move light_elevation=-30 camera_elevation=45 --station white --rig rig.toml"
 
