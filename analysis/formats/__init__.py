@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from analysis.formats.text import BYTE_ORDER_MARK, looks_like_text
+from analysis.formats.text import BYTE_ORDER_MARK, UTF_16_MARKS, looks_like_text
 from rig.errors import BadInput
 from rig.files import whole_file
 
@@ -78,6 +78,9 @@ def read(path: Path, options: dict[str, Any]) -> xr.Dataset:
         raise BadInput(
             "needs more memory than there is", where=str(path), todo="split it, or store it as NetCDF"
         ) from None
+    from analysis.formats.values import require_brdf
+
+    require_brdf(samples, path)
     if getattr(module, "OPEN_END", False):
         from analysis.formats.doubts import ATTRIBUTE, doubts
 
@@ -166,12 +169,21 @@ def recognise(path: Path) -> ModuleType:
     for module in modules:
         if module.sniff(head):
             return module
+    whole = head.replace(b"\0", b"")
+    if whole != head and any(module.sniff(whole) for module in modules):
+        raise BadInput(
+            "a zero byte stands in the text",
+            where=f"{path}: byte {head.index(bytes(1))}",
+            todo="it was damaged on its way, or is UTF-16 without its mark: copy or export it again",
+        )
     known = ", ".join(str(module.NAME) for module in modules)
     raise BadInput("is of no format that gonio reads", where=str(path), todo=f"it reads {known}")
 
 
 def clean_head(head: bytes) -> bytes:
     """Return the start of a text as formats sniff it: no mark, lines that end in LF; of others as it is."""
+    if head.startswith(UTF_16_MARKS):
+        head = head.decode("utf-16", errors="ignore").encode()
     if not looks_like_text(head):
         return head
     return head.removeprefix(BYTE_ORDER_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")

@@ -118,6 +118,14 @@ def _columns(text: str, separator: str, where: str) -> list[str]:
     names = [name.strip() for name in text.split(separator)]
     double = sorted({name for name in names if names.count(name) > 1})
     missing = [name for name in REQUIRED if name not in names]
+    last = max((place for place, name in enumerate(names) if name in ANGLES), default=0)
+    early = [name for name in names[:last] if name not in ANGLES]
+    if early and not missing:
+        raise BadInput(
+            f"names '{early[0][:40]}' between the angles",
+            where=where,
+            todo="is it an angle? Channels stand behind the angles",
+        )
     if double or missing or "" in names or not set(names) - set(ANGLES):
         what = (
             f"names {double[0]} twice"

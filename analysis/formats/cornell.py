@@ -34,6 +34,7 @@ OPTIONS: tuple[str, ...] = ()
 OPEN_END = True
 ANGLES = ("theta i", "phi i", "theta s", "phi s")
 MOST_WAVELENGTHS = 100_000
+SHORTEST_NM = 10.0
 # No alternative takes what another can: two ways to take the same blanks would try all their mixtures.
 _START = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*+\d{1,9}[^\S\r\n]*(?:#[^\r\n]*)?[\r\n]")
 
@@ -100,9 +101,9 @@ def _rows(path: Path) -> tuple[Array, list[int], list[float]]:
 
 def _check_wavelengths(wavelengths: Array, path: Path) -> None:
     """Refuse what shows that numbers are missing or doubled before the rows."""
-    if (wavelengths <= 0.0).any() or len(np.unique(wavelengths)) < len(wavelengths):
+    if wavelengths[0] < SHORTEST_NM or (np.diff(wavelengths) <= 0.0).any():
         raise BadInput(
-            "its wavelengths are not all different and positive",
+            f"its wavelengths do not ascend from {SHORTEST_NM:g} nm or more",
             where=f"{path}: the wavelengths",
             todo="the file is damaged or counts its numbers wrongly: copy it again",
         )

@@ -1,7 +1,7 @@
-"""Signs that a text was cut short where its format cannot say so: told with the samples, never in silence.
+"""Signs that a text was cut or damaged where its format cannot say so: told with the samples, not in silence.
 
 Most tables neither count their rows nor mark their end. What was cut inside the last number reads as another
-number; what was cut between two rows reads as a smaller table.
+number; what was cut between two rows reads as a smaller table, and a row that was doubled as a larger one.
 """
 
 from __future__ import annotations
@@ -9,15 +9,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import xarray as xr
 
+Array = NDArray[np.float64]
+
 ATTRIBUTE = "doubts"
 FEWEST_RUNS = 3
 SAME = 1e-9
+POLE = 1.0 - 1e-12
 UNFINISHED = "the last line has no end: cut there, its last number would be another one"
 
 
@@ -31,30 +35,63 @@ def doubts(samples: xr.Dataset, path: Path) -> str:
     path : Path
         The text.
     """
-    found = []
-    with path.open("rb") as stream:
-        stream.seek(-1, 2)
-        if stream.read() not in {b"\n", b"\r"}:
-            found.append("the last line has no end: cut there, its last number would be another one")
-    for name, what in (("wi", "direction of the light"), ("wo", "direction of view")):
-        length, last = _last_run(samples[name].to_numpy())
-        if last < length:
-            found.append(f"the last {what} has {last} samples, all others have {length}")
+    found = [str(samples.attrs[ATTRIBUTE])] if ATTRIBUTE in samples.attrs else []
+    found += [UNFINISHED] if unfinished(path) else []
+    for name, what in (("wi", "light"), ("wo", "view")):
+        found += _short_run(samples[name].to_numpy(), what)
+    found += _repeated(samples)
     return "; ".join(found)
 
 
 def unfinished(path: Path) -> bool:
-    """Whether a text that is not empty ends within a line."""
+    """Whether a text ends in what may be the first digits of a number, not in a line's end or a blank."""
     with path.open("rb") as stream:
-        stream.seek(-1, 2)
-        return stream.read() not in {b"\n", b"\r"}
+        stream.seek(-min(2, path.stat().st_size), 2)
+        return not stream.read().replace(b"\0", b"")[-1:].isspace()  # UTF-16 has zero bytes
 
 
-def _last_run(directions: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[int, int]:
-    """Return the length that all runs of one direction but the last share, and the last's; else 0, 0."""
+def _short_run(directions: Array, what: str) -> list[str]:
+    """Say which one run of samples of a single direction is shorter than all others, which are alike.
+
+    The last may lack any number of samples, as where a file was cut; another one a few, as where rows were
+    lost.
+    """
     new = (np.abs(np.diff(directions, axis=0)) > SAME).any(axis=1)
     runs = np.diff([0, *(np.flatnonzero(new) + 1), len(directions)])
-    shared = np.unique(runs[:-1])
-    if len(runs) < FEWEST_RUNS or len(shared) != 1 or shared[0] < 2:
-        return 0, 0
-    return int(shared[0]), int(runs[-1])
+    if len(runs) < FEWEST_RUNS:
+        return []
+    full = int(runs.max())
+    short = np.flatnonzero(runs < full)
+    if len(short) != 1 or full < 2:
+        return []
+    length = int(runs[short[0]])
+    if short[0] == len(runs) - 1:
+        return [f"the last direction of {what} has {length} samples, all others have {full}"]
+    if full - length <= max(2, full // 10):
+        return [f"direction {short[0] + 1} of {what} has {length} samples, all others have {full}"]
+    return []
+
+
+def _repeated(samples: xr.Dataset) -> list[str]:
+    """Say which sample stands a second time with the same value: a row was doubled, or a file put to itself.
+
+    Where the light or the view is the normal, some formats repeat it for each azimuth: that is no sign of
+    anything.
+    """
+    wi, wo, f_r = (samples[name].to_numpy() for name in ("wi", "wo", "f_r"))
+    rows = np.hstack([wi, wo, f_r])
+    half, odd = divmod(len(rows), 2)
+    if half > 1 and not odd and np.array_equal(rows[:half], rows[half:]):
+        return ["its second half repeats the first"]
+    apart = (wi[:, 2] < POLE) & (wo[:, 2] < POLE)
+    # One number tells nearly all rows apart; the few with the same are compared in full.
+    number = rows @ np.sqrt(np.arange(2.0, rows.shape[1] + 2.0))
+    order = np.argsort(number, kind="stable")
+    near = np.flatnonzero(np.diff(number[order]) == 0.0)
+    first, again = order[near], order[near + 1]
+    same = apart[again] & (rows[first] == rows[again]).all(axis=1)
+    if not same.any():
+        return []
+    count, which = np.count_nonzero(same), again[same].argmin()
+    others = f" and {count - 1} others" if count > 1 else ""
+    return [f"sample {again[same][which]}{others} repeat what stands before, direction and value"]

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.doubts import ATTRIBUTE
 from analysis.formats.loss import Loss, unchanged
 from analysis.formats.tables import Layout, Rows, numbers_of_rows, require_once, rows_with_content, words_of
 from analysis.formats.text import looks_like_text, number, read_lines
@@ -67,14 +68,17 @@ def read(path: Path) -> xr.Dataset:
     _check_polar(rows, to_radians, path)
     if not (rows.widths == len(COLUMNS)).any():
         raise BadInput("holds no samples", where=f"{path}: line {len(lines)}", todo="copy the file again")
-    theta_i, phi_i, theta_s, phi_s, value = _scatter(rows, path).T
-    return make_samples(
+    table = _scatter(rows, path)
+    theta_i, phi_i, theta_s, phi_s, value = table.T
+    samples = make_samples(
         spherical_to_direction(theta_i * to_radians, phi_i * to_radians + np.pi),
         spherical_to_direction(theta_s * to_radians, phi_s * to_radians),
         value * scale,
         channels=["BRDF"],
         source=path.name,
     )
+    doubt = _out_of_order(rows, table)
+    return samples.assign_attrs({ATTRIBUTE: doubt}) if doubt else samples
 
 
 def _check_polar(rows: Rows, to_radians: float, path: Path) -> None:
@@ -101,8 +105,48 @@ def _scatter(rows: Rows, path: Path) -> Array:
     latest = np.maximum.accumulate(np.where(scatter, 0, np.arange(len(scatter))))
     incidence = rows.numbers[start[latest[scatter]][:, None] + np.arange(len(INCIDENCE))]
     table = np.hstack([incidence, rows.numbers[start[scatter][:, None] + np.arange(len(COLUMNS))]])
+    _check_blocks(rows, table, path)
     require_once(table[:, :-1], rows.places[scatter], path)
     return table
+
+
+def _out_of_order(rows: Rows, table: Array) -> str:
+    """Say where directions begin anew without an incidence, or run on across one; elsewhere they ascend."""
+    scatter = rows.widths == len(COLUMNS)
+    place, block = rows.places[scatter], np.cumsum(~scatter)[scatter]
+    same, size = np.diff(block) == 0, np.bincount(block)
+    long = np.minimum(size[block[:-1]], size[block[1:]]) > 1
+    for slow, fast in ((2, 3), (3, 2)):
+        step, within = np.diff(table[:, slow]), np.diff(table[:, fast])
+        ascends = (step > 0.0) | ((step == 0.0) & (within > 0.0))
+        anew, on = np.flatnonzero(same & ~ascends), np.flatnonzero(~same & ascends & long)
+        if len(anew) == 1 and block[-1] > 1:
+            return f"directions begin anew at line {place[anew[0] + 1]} without an incidence"
+        if not len(anew) and len(on) == 1:
+            return f"the incidence before line {place[on[0] + 1]} does not begin its directions anew"
+    return ""
+
+
+def _check_blocks(rows: Rows, table: Array, path: Path) -> None:
+    """Refuse what a row of scatter that lost a number looks like: an incidence where there is none."""
+    begins = np.flatnonzero(rows.widths == len(INCIDENCE))
+    counts = np.diff([*begins, len(rows.widths)]) - 1
+    wrong = begins[counts == 0]
+    if not wrong.size:
+        first = np.concatenate([[0], np.cumsum(counts)])
+        full = int(counts.argmax())
+        model = table[first[full] : first[full + 1], 2:4]
+        for block in np.flatnonzero(counts[:-1] + counts[1:] + 1 == counts[full]):
+            before, after = (table[first[b] : first[b + 1], 2:4] for b in (block, block + 1))
+            if np.array_equal(before, model[: len(before)]) and np.array_equal(after, model[-len(after) :]):
+                wrong = begins[[block + 1]]
+                break
+    if wrong.size:
+        raise BadInput(
+            "two numbers where an incidence does not begin",
+            where=f"{path}: line {rows.places[wrong[0]]}",
+            todo="complete the row, or remove the incidence that has no rows",
+        )
 
 
 def write(samples: xr.Dataset, path: Path) -> Loss:
@@ -154,8 +198,9 @@ def _turn_deg(angle: Array) -> Array:
 def _header(text: str, where: str) -> tuple[float, float]:
     """Return the angles' unit in radians and the scale of the values."""
     words = text.split()
-    entries = dict(word.split("=", 1) for word in words[1:] if "=" in word)
-    if not words or words[0].lower() != "format" or not {"angles", "bsdf"} <= set(entries):
+    entries = {name: value for name, _, value in (word.partition("=") for word in words[1:])}
+    known = {"angles", "bsdf"} <= entries.keys() <= {"angles", "bsdf", "scale"}
+    if not known or words[0].lower() != "format" or len(entries) < len(words) - 1:
         raise BadInput(
             "is not the line that states the format", where=where, todo="format angles=deg bsdf=value scale=1"
         )

@@ -223,7 +223,7 @@ def _choose(rows: Rows, material: str | None, path: Path) -> Indices:
     return np.flatnonzero(np.array(labels) == wanted)
 
 
-def _check_polar(angles_deg: Array, places: Sequence[int], path: Path, column: str) -> None:
+def _check_polar(angles_deg: Array, places: Sequence[int] | Indices, path: Path, column: str) -> None:
     wrong = np.flatnonzero(np.abs(angles_deg) > 90.0 + SLACK_DEG)
     if wrong.size:
         raise BadInput(
@@ -262,6 +262,12 @@ def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array,
     names = lines[header][1:].split()
     comments = "\n".join(line for line in lines if line.startswith("#"))
     stated = _ZENITH.search(comments)
+    if stated is None and "zenith" in comments.lower():
+        raise BadInput(
+            "its comments speak of a zenith, but not as gonio understands it",
+            where=f"{path}: line {header + 1}",
+            todo="write # (theta_i, phi_i) are the zenith and azimuth angles, or the other way round",
+        )
     zenith = stated.group(1) if stated else "theta"
     kept = rows_with_content(lines)
     if not kept.texts:

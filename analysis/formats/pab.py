@@ -222,6 +222,10 @@ def _parse(block: _Block, path: Path) -> tuple[Array, Array, Array, NDArray[np.i
     if not block.rows.texts:
         raise BadInput("no samples follow the header", where=where, todo="copy the file again")
     colour = block.header.get("colorimetry", "").lower()
+    if colour and colour not in COLOURS:
+        raise BadInput(
+            f"colorimetry {colour[:40]} is not read", where=where, todo=f"known: {', '.join(COLOURS)}"
+        )
     names = COLOURS.get(colour) or [str(i) for i in range(len(block.rows.texts[0].split()) - 2)]
     width = max(2 + len(names), 3)
     columns = [str(column) for column in range(1, width + 1)]
@@ -248,9 +252,9 @@ def _parse(block: _Block, path: Path) -> tuple[Array, Array, Array, NDArray[np.i
 
 
 def _with_cosine(header: dict[str, str], where: str) -> bool:
-    kind = header.get("format", "").lower().split()[-1:]
-    if kind and kind[0] in {WITH_COSINE, *WITHOUT_COSINE}:
-        return kind[0] == WITH_COSINE
+    *columns, kind = header.get("format", "").lower().split() or [""]
+    if columns == ["theta", "phi"] and kind in {WITH_COSINE, *WITHOUT_COSINE}:
+        return kind == WITH_COSINE
     raise BadInput(
         "the header does not say what the values are",
         where=where,
@@ -261,10 +265,11 @@ def _with_cosine(header: dict[str, str], where: str) -> bool:
 def _incidence(header: dict[str, str], where: str) -> tuple[float, float]:
     words = header.get("incident_angle", "").split()
     if "intheta" in header and "inphi" in header:
-        words = [header["intheta"], header["inphi"]]
+        words = [*header["intheta"].split(), *header["inphi"].split()]
     if len(words) != 2:
         raise BadInput("the header lacks the incidence", where=where, todo="write #intheta and #inphi")
     theta, phi = (number(word, where=f"{where}, incidence") for word in words)
+    number(header.get("upphi", "90"), where=f"{where}, upphi")
     if not 0.0 <= theta <= 180.0:
         raise BadInput(f"{theta:g} is not a polar angle of incidence", where=where, todo="correct #intheta")
     return theta, phi

@@ -36,6 +36,10 @@ OPTIONS: tuple[str, ...] = ()
 OPEN_END = True
 PERCENT = 0.01
 MOST_ANGLES = 100_000
+FINEST_STEP_DEG = 0.01
+"""Steps of the instrument are multiples of this; where lines are lost, equal steps are none."""
+
+SAME_STEP = 1e-6
 _START = re.compile(
     r"DataType:\t *BRDF\((?:RT-300S|Raywiz)\)|Name / Comment :|OPTIS - Anisotropic BSDF surface file v1\.0"
 )
@@ -44,7 +48,8 @@ _SNIFF = re.compile(
     rb"|Name / Comment :[^\n]*\n(?:[^\n]*\n){1,20}Theta Lighting\t"
     rb"|OPTIS - Anisotropic BSDF surface file v1\.0)"
 )
-_LAST_NUMBER = re.compile(r"(-?\d+(?:\.\d+)?)\s*\Z")
+_LAST_NUMBER = re.compile(r"(?:\A|\s)(-?[0-9]+(?:\.[0-9]+)?)\s*\Z")
+_WORD = re.compile(r"[^\W\d_]{2}")
 
 
 class Flag(IntFlag):
@@ -81,6 +86,14 @@ class _Block(NamedTuple):
             raise BadInput(f"has no line '{name}'", where=self.where, todo="copy or export the file again")
         rows = self.lines[starts[0] + 1 :]
         end = next((index for index, (_, cells) in enumerate(rows) if not any(cells)), len(rows))
+        # Speos' second table is numbers; words are the head of a block whose first line is damaged.
+        stray = next((line for line, cells in rows[end:] if _WORD.search("".join(cells))), None)
+        if stray is not None:
+            raise BadInput(
+                "words follow the end of a table",
+                where=f"{self.path}: line {stray}",
+                todo="the line that begins another block is missing or damaged: export it again",
+            )
         return rows[:end]
 
 
@@ -171,6 +184,9 @@ def _raywiz(block: _Block) -> _Table:
         raise _wrong_size(block, "three counts, four angles and one incidence")
     azimuth = np.linspace(ends[0], ends[1], int(counts[2]))
     receive = np.linspace(ends[2], ends[3], len(rows) - 3)
+    step = (ends[3] - ends[2]) / max(len(receive) - 1, 1)
+    if abs(step / FINEST_STEP_DEG - round(step / FINEST_STEP_DEG)) > SAME_STEP:
+        raise _wrong_size(block, f"{len(receive)} receive angles from {ends[2]:g} to {ends[3]:g} deg")
     cells = [_numbers(row, block.path, width=len(azimuth)) for row in rows[3:]]
     return _checked(_Table(float(incidence[0]), azimuth, receive, np.array(cells), stated=False), block)
 
@@ -200,6 +216,8 @@ def _speos(block: _Block) -> _Table:
     table = spectrum[1 + count :] if 0 <= count < len(spectrum) - 2 else []
     if not table:
         raise _wrong_size(block, "a spectrum and a table")
+    if table[0][1][0]:
+        raise _wrong_size(block, f"{count} lines of a spectrum and a line of azimuths")
     azimuth = _numbers(table[0], block.path, skip=1)
     receive, value = _labelled(table[1:], len(azimuth), block)
     return _Table(float(name[1]), azimuth, receive, value)
@@ -248,6 +266,10 @@ def _same(a: Array, b: Array) -> bool:
 
 
 def _checked(table: _Table, block: _Block) -> _Table:
+    for angles in (table.azimuth, table.receive):
+        steps = np.diff(angles)
+        if not ((steps > 0.0).all() or (steps < 0.0).all()):
+            raise _wrong_size(block, "angles that ascend, each once")
     if abs(table.incidence) >= 90.0 or np.abs(table.receive).max() >= 90.0:
         raise BadInput(
             "an incidence or receive angle is 90 deg or more", where=block.where, todo="remove the block"

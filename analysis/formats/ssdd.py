@@ -256,12 +256,20 @@ def _angles(entries: dict[str, Entry], name: str, *, required: bool, path: Path)
     entry = _entry(entries, name, path)
     if not entry.words:
         raise BadInput(f"{name} is empty", where=entry.where, todo="list at least one number")
-    return np.array(
+    angles = np.array(
         [
             number(word, where=f"{entry.where}, column {column}")
             for column, word in enumerate(entry.words, start=2)
         ]
     )
+    back = np.flatnonzero(np.diff(angles) <= 0.0)
+    if back.size:
+        raise BadInput(
+            f"{angles[back[0] + 1]:g} does not ascend",
+            where=f"{entry.where}, column {back[0] + 3}",
+            todo="lists of this format do: the file is damaged",
+        )
+    return angles
 
 
 def _directions(cells: Array, entries: dict[str, Entry], path: Path) -> tuple[Array, Array]:

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-CHUNK = 8192
-"""Rows that are taken apart at a time: their words take sixty times the space of the text."""
+CHUNK = 512
+"""Rows that are taken apart at a time. Words take sixty times the space of the text; and more lists than
+this at once would have Python look through all of them for garbage, over and over."""
 
 
 class Lines(NamedTuple):
@@ -79,12 +80,12 @@ class Layout(NamedTuple):
 
 def rows_with_content(lines: Sequence[str], *, start: int = 0, comment: str = "#") -> Lines:
     """Return the lines from an index on that are neither empty nor begin with a comment's sign."""
-    kept = [
-        (text, line)
+    places = [
+        line
         for line, text in enumerate(lines[start:] if start else lines, start=start + 1)
         if (bare := text.strip()) and not (comment and bare.startswith(comment))
     ]
-    return Lines([text for text, _ in kept], [line for _, line in kept])
+    return Lines([lines[line - 1] for line in places], places)
 
 
 def words_of(text: str, _line: int = 0) -> list[str]:
@@ -148,7 +149,7 @@ def numbers_of_rows(lines: Lines, layout: Layout, path: Path) -> Rows:
     labels: list[str] = []
     mark = ""
     for start in range(0, len(lines.texts), CHUNK):
-        texts, places = (part[start : start + CHUNK] for part in lines)
+        texts, places = lines.texts[start : start + CHUNK], lines.places[start : start + CHUNK]
         rows = [layout.split(text, line) for text, line in zip(texts, places, strict=True)]
         sizes = list(map(len, rows))
         if not set(sizes) <= layout.columns.keys():
@@ -226,6 +227,11 @@ def _with_points(
     marks = {mark, *(sign for sign in ",." if sign in text)} - {""}
     if "," not in marks:
         return rows, "".join(marks)
+    bare = next((line for row, line in zip(rows, places, strict=True) if _comma_at_an_end(row)), None)
+    if bare is not None:
+        raise BadInput(
+            "a comma without digits on both sides", where=f"{path}: line {bare}", todo="complete the number"
+        )
     if len(marks) > 1:
         line = _first_other(rows, places, mark)
         raise BadInput(
@@ -234,6 +240,11 @@ def _with_points(
             todo="write all with points, and thousands without a separator",
         )
     return [[cell.replace(",", ".") for cell in row] for row in rows], ","
+
+
+def _comma_at_an_end(cells: list[str]) -> bool:
+    """Whether a number lost the digits before or behind its comma; Fortran does so with points only."""
+    return any(bare[:1] == "," or bare[-1:] == "," for cell in cells if (bare := cell.strip()))
 
 
 def _first_other(rows: list[list[str]], places: Sequence[int], mark: str) -> int:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 LARGEST_TEXT_BYTES = 16 * 1024**2
 """Lists of words take up to sixty times the space of the text."""
 
@@ -24,7 +25,7 @@ def looks_like_text(head: bytes) -> bool:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Read the lines of a text file in UTF-8 (with or without mark) or Latin-1, with any line ends.
+    """Read the lines of a text file as `decoded_lines` does.
 
     Raises
     ------
@@ -42,9 +43,9 @@ def read_lines(path: Path) -> list[str]:
 
 
 def decoded_lines(content: bytes) -> list[str]:
-    """Split a text in UTF-8 (with or without mark) or Latin-1 into lines, with any line ends."""
+    """Split a text into lines, with any line ends: UTF-8, UTF-16 that has its mark, or else Latin-1."""
     try:
-        text = content.decode("utf-8-sig")
+        text = content.decode("utf-16" if content.startswith(UTF_16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     # Only what editors call a line end: `splitlines` also breaks at form feeds and Unicode separators.

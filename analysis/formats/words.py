@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from array import array
 from bisect import bisect_right
 from typing import TYPE_CHECKING, NamedTuple
@@ -39,7 +40,7 @@ class Words:
     path : Path
         The file.
     comment : str
-        What starts a comment, which lasts to the line's end.
+        What starts a comment at the begin of a word; it lasts to the line's end.
 
     Raises
     ------
@@ -50,9 +51,11 @@ class Words:
     def __init__(self, path: Path, *, comment: str = "#") -> None:
         self._path = path
         self._words: list[str] = []
+        starts = re.compile(rf"(?:\A|(?<=\s)){re.escape(comment)}")
         self._ends = array("q")  # how many words there are up to the end of each line
         for text in read_lines(path):
-            self._words += (text.split(comment, 1)[0] if comment in text else text).split()
+            # Within a word the sign is damage, and no number.
+            self._words += (starts.split(text, maxsplit=1)[0] if comment in text else text).split()
             self._ends.append(len(self._words))
         self._at = 0
 

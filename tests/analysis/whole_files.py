@@ -86,6 +86,43 @@ SPEOS = "".join(
 )
 
 
+BANDS = "Theta_i [deg];Theta_o [deg];wavelength [um];BRDF [1/sr]\n".replace("Theta", "theta") + "".join(
+    f"{i},5;{o};0,{nm};0,{i}{abs(o)}{nm}\n" for i in (10, 20) for nm in (532, 633) for o in (-30, 15, 40)
+)
+ASTM_UNCOUNTED = "SAMPLE_ID old lacquer\nVARS theta_i,theta_s,phi_s,R,G,B\n" + "".join(
+    f"0.{i},0.{j},{p}.5,0.1{i},0.2{j},0.3{p}\n" for i in (1, 5, 9) for j in (2, 4) for p in (0, 1, 3)
+)
+ASTM_GERMAN = "NUM_POINTS 8\nVARS theta_i;phi_i;theta_s;phi_s;Integrated\n" + "".join(
+    f"0,{i};0;0,{j};3,1;0,25{j}\n" for i in (1, 5) for j in (2, 4, 6, 8)
+)
+FRED_SCATTERED = "type bsdf_data\nformat angles=rad bsdf=value scale=0.5\n" + "".join(
+    f"0.{i} 0.1\n" + "".join(f"0.{j} 2.{i * j} 0.0{i}{j}\n" for j in range(1, 4 + i)) for i in (1, 3, 4)
+)
+PAB_DSF = (
+    '#sample_name "wood"\n#format: theta phi DSF\n#incident_angle 30 0\n#upphi 90\n#colorimetry: CIE-XYZ\n'
+) + "".join(f"{t} {p} 0.1{t} 0.2{p} 0.3\n" for t in (10, 20, 60) for p in (0, 90, 200))
+SSDD_HALF = (
+    "VERSION 0.1\n# as libbsdf writes it\nDATA_TYPE brdf\nCOLOR_MODEL monochrome\n"
+    "PARAM_TYPE half_difference_coordinate_system\nREDUCTION_TYPE bilateral_symmetry\n"
+    "PARAM0_LIST 0 20 50\nPARAM2_LIST 10 30\nPARAM3_LIST 0 90 180\nSOURCE_TYPE measured\nDATA ascii\n"
+) + "".join(f"0.{i}25\n" for i in range(11, 29))
+ALTA_HALF = "#DIM 3 3\n#PARAM_IN  RUSIN_TH_TD_PD\n#PARAM_OUT RGB_COLOR\n#VS 1\n" + "".join(
+    f"0.{h} 0.{d} 1.{h}{d} 0.1{h} 0.2{d} 0.3 0.01\n" for h in (1, 4, 7) for d in (2, 3, 5)
+)
+CORNELL_ONE = "1\n632.8\n" + "".join(f"0.{i} 0 1.1 {j}.5 1{i}.{j}e-3\n" for i in (2, 4, 6) for j in range(4))
+ALONE = (
+    "cornell",
+    "alta",
+    "radiance",
+    "chassis",
+    "astm_uncounted",
+    "astm_german",
+    "alta_half",
+    "cornell_one",
+)
+"""Texts of which each line is a sample of its own."""
+
+
 @dataclass(frozen=True)
 class Whole:
     """A whole file.
@@ -104,6 +141,8 @@ class Whole:
         Whether the format says, anywhere, how many samples there are.
     checked : bool
         Whether checksums cover all values, so that nothing but the same samples may be read.
+    alone : bool
+        Whether each line is a sample of its own, which says both of its directions.
     """
 
     path: Path
@@ -112,6 +151,7 @@ class Whole:
     binary: bool = False
     counted: bool = True
     checked: bool = False
+    alone: bool = False
 
 
 def make_whole_files(folder: Path) -> dict[str, Whole]:
@@ -129,11 +169,23 @@ def make_whole_files(folder: Path) -> dict[str, Whole]:
         "lighttools": (LIGHTTOOLS, "rt300s_text", None, False),
         "speos": (SPEOS, "rt300s_text", None, False),
     }
+    variants = {
+        "bands": (BANDS, "inplane", b";", True),
+        "astm_uncounted": (ASTM_UNCOUNTED, "astm", b",", False),
+        "astm_german": (ASTM_GERMAN, "astm", b";", True),
+        "fred_scattered": (FRED_SCATTERED, "fred", None, False),
+        "pab_dsf": (PAB_DSF, "pab", None, False),
+        "ssdd_half": (SSDD_HALF, "ssdd", None, True),
+        "alta_half": (ALTA_HALF, "alta", None, False),
+        "cornell_one": (CORNELL_ONE, "cornell", None, False),
+        "jdv_one": (JDV[: JDV.index("DataType", 9)], "rt300s_text", None, False),
+    }
+    texts |= variants
     files = {}
     for name, (text, module, separator, counted) in texts.items():
         path = folder / f"{name}.dat"
         path.write_bytes(text.encode())
-        files[name] = Whole(path, module, separator, counted=counted)
+        files[name] = Whole(path, module, separator, counted=counted, alone=name in ALONE)
     grid, one = _grid(), _grid().isel(sample=slice(0, 24))
     _written(grid, folder, "netcdf", ".nc")
     _written(grid, folder, "csv", ".csv")
@@ -143,8 +195,11 @@ def make_whole_files(folder: Path) -> dict[str, Whole]:
     np.savez(folder / "npz.npz", wi=grid["wi"], wo=grid["wo"], f_r=grid["f_r"])
     (folder / "npz.npz").rename(folder / "npz.dat")
     write_tensors(folder / "rgl.dat", _tensors())
-    files["csv"] = Whole(folder / "csv.dat", "csv", b",")
-    files["astm"] = Whole(folder / "astm.dat", "astm", b",")
+    german = (folder / "csv.dat").read_text().replace(",", ";").replace(".", ",").replace("632,8n", "632.8n")
+    (folder / "csv_german.dat").write_text(german)
+    files["csv_german"] = Whole(folder / "csv_german.dat", "csv", b";", alone=True)
+    files["csv"] = Whole(folder / "csv.dat", "csv", b",", alone=True)
+    files["astm"] = Whole(folder / "astm.dat", "astm", b",", alone=True)
     files["ssdd"] = Whole(folder / "ssdd.dat", "ssdd")
     (folder / "ssdd_binary.dat").write_bytes(SSDD_BINARY)
     files["ssdd_binary"] = Whole(folder / "ssdd_binary.dat", "ssdd", binary=True)
