@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.doubts import ATTRIBUTE
 from rig.angles import direction_to_spherical, spherical_to_direction
 
 if TYPE_CHECKING:
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SOLID_ANGLES = ("source_solid_angle_sr", "receiver_solid_angle_sr")
+HISTORY = ("recipe", "recipe_source", "recipe_files", "recipe_steps", "reading", "reading_words", ATTRIBUTE)
+"""Attributes of samples that stay true of them under another reading."""
+COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "f_r")
+PER_SAMPLE = ("u_f_r", "flags")
+"""Facts that have one entry for each sample."""
 HORIZON = 1e-9
 """Angle from the horizon, in radians, within which a direction counts as on it."""
 
@@ -32,6 +38,8 @@ class AngleTable:
         Values as declared, 1/sr.
     facts : dict
         What else `analysis.samples.make_samples` may be told: channels, wavelengths, uncertainty, flags.
+    attributes : dict
+        What the samples' file says of how they came about, and of doubts in it.
     """
 
     theta_i: Array
@@ -40,6 +48,7 @@ class AngleTable:
     phi_o: Array
     f_r: Array
     facts: dict[str, Any] = field(default_factory=dict)
+    attributes: dict[str, str] = field(default_factory=dict)
 
     @property
     def wi(self) -> Array:
@@ -57,14 +66,17 @@ class AngleTable:
         return np.asarray(largest < np.pi / 2.0 - HORIZON)
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> AngleTable:
-        """Return the angles and values of some samples, without the facts."""
-        return AngleTable(
-            self.theta_i[chosen],
-            self.phi_i[chosen],
-            self.theta_o[chosen],
-            self.phi_o[chosen],
-            self.f_r[chosen],
-        )
+        """Return some samples, with what is known of each, and all other facts."""
+        facts = {name: each[chosen] if name in PER_SAMPLE else each for name, each in self.facts.items()}
+        columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
+        return replace(self, **columns, facts=facts)
+
+    def scaled(self, factor: Array) -> AngleTable:
+        """Multiply values, and the uncertainties that are stated of them, by a factor (N, 1) or (N, C)."""
+        facts = dict(self.facts)
+        if "u_f_r" in facts:
+            facts["u_f_r"] = facts["u_f_r"] * np.abs(factor)
+        return replace(self, f_r=self.f_r * factor, facts=facts)
 
 
 def table_of(samples: xr.Dataset) -> AngleTable:
@@ -78,4 +90,5 @@ def table_of(samples: xr.Dataset) -> AngleTable:
         **{name: float(samples.attrs.get(name, np.nan)) for name in SOLID_ANGLES},
         **{name: samples[name].to_numpy() for name in ("u_f_r", "flags", "wavelength_nm") if name in samples},
     }
-    return AngleTable(theta_i, phi_i, theta_o, phi_o, samples["f_r"].to_numpy(), facts)
+    attributes = {name: str(samples.attrs[name]) for name in HISTORY if name in samples.attrs}
+    return AngleTable(theta_i, phi_i, theta_o, phi_o, samples["f_r"].to_numpy(), facts, attributes)

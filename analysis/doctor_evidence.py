@@ -1,52 +1,43 @@
-"""How well a reading agrees with what surfaces do: one number, comparable between readings of one file.
+"""How well a reading agrees with what surfaces do: numbers that compare between readings of one file.
 
 A surface's BRDF is reciprocal, mostly the same on both sides of the plane of incidence, smooth, and has its
 peak, where it has one, at the mirror direction. So ln f is taken as
 
-    ln f = ln(kd / pi + ks G) + s(theta_h, theta_d, cos 2 phi_d) + noise,
+    ln f = ln(mixture of facets' lobes and diffusers) + s(theta_h, theta_d, cos 2 phi_d) + noise,
 
-with G a lobe of facets, chosen from a list, and s a Gaussian process of angles that do not change when light
-and view are exchanged or mirrored (Rusinkiewicz 1998). What is not reciprocal, symmetric or smooth goes into
-the noise; a lobe in the wrong place has to be made up for by s. In place of both terms there may be a rough
-diffuser, which sends light back (Oren & Nayar 1994). The evidence is the process's marginal likelihood
-(Rasmussen & Williams 2006, equation 2.30) with the noise's size profiled and few centres in place of all
-samples (their section 8.3.2). A factor on the values is a shift of ln f, so that readings with and without a
-cosine compare.
+with s a Gaussian process of angles that do not change when light and view are exchanged or mirrored
+(Rusinkiewicz 1998). What is not reciprocal, symmetric or smooth goes into the noise; a lobe in the wrong
+place has to be made up for by s. The evidence is the process's marginal likelihood (Rasmussen & Williams
+2006, equation 2.30) with the noise's size profiled and few centres in place of all samples (section 8.3.2).
+A factor on the values is a shift of ln f, so that readings with and without a cosine compare.
+
+All that depends on directions only is found once for all readings of the values there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.models import MODELS
-from analysis.models.base import Geometry
+from analysis.doctor_lobes import Lobes
 from rig.angles import half_difference
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from analysis.angle_table import AngleTable
-
 Array = NDArray[np.float64]
 
-LOBES_OF = (("ggx", "alpha"), ("cook-torrance-schlick", "m"))
-"""Families of lobes: long tails and short ones, each with the name of its width."""
-ALPHAS = (0.008, 0.02, 0.05, 0.1, 0.2, 0.35, 0.6)
-FRESNEL = (0.04, 0.5)
-ROUGHNESS = (0.2, 0.4, 0.7)
-"""Slopes of the facets of rough diffusers, radians."""
-RATIOS = tuple(10.0 ** np.arange(-2.0, 3.1, 0.5))
-"""ks over kd of the lobes that are tried."""
 LENGTHS = (0.5, 1.0, 2.0)
 SIGNALS = (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0)
 """Variance of the process over that of the noise."""
 CENTRES = 80
-LOBES = 3
-"""Lobes, best first, with which the process is tried."""
+KNOWN = 0.1
+"""RMS about the lobes below which no reading is better for it: no surface follows formulas so far."""
+TYPICAL = 0.2
+"""Deviation from the lobes beyond which Cauchy's measure grows but slowly."""
 NARROWEST = np.radians(5.0)
 """Angle between half vector and normal below which lengths shrink with the angle no further."""
 
@@ -60,92 +51,94 @@ class Evidence:
     total : float
         Logarithm of the marginal likelihood over the number of samples.
     lobe_rms : float
-        RMS of ln f about the best lobe alone.
+        RMS of ln f about the lobes alone.
+    lobe_misfit : float
+        How far ln f is from the lobes alone, as the mean of two measures: one that the largest deviations
+        rule, and Cauchy's, which the many rule. A few samples at a peak do not decide, nor do all others.
     noise_rms : float
         RMS of what is neither lobe nor smooth, reciprocal and symmetric.
     """
 
     total: float
     lobe_rms: float
+    lobe_misfit: float
     noise_rms: float
 
 
-def evidence(table: AngleTable, weights: Array, lengths: Sequence[float] = LENGTHS) -> Evidence:
-    """Weigh a reading.
+class _Process(NamedTuple):
+    """A Gaussian process of one length at fixed directions, brought to its principal axes."""
+
+    values: Array
+    """Variances (K,) along the axes, over that of the signal."""
+    axes: Array
+    """From samples to axes, (K, N); the weights are in it."""
+
+
+class Directions:
+    """What the readings of values at the same directions share.
 
     Parameters
     ----------
-    table : AngleTable
-        Samples above the horizon, one channel, all values positive.
+    wi, wo : ndarray, shape (N, 3)
+        Above the horizon.
     weights : ndarray, shape (N,)
-        Inverse relative variance of each value's logarithm, up to a factor.
+        Inverse relative variance of each value, up to a factor.
     lengths : sequence of float
         Lengths of the process's covariance that are tried.
-
-    Returns
-    -------
-    Evidence
     """
-    wi, wo = table.wi, table.wo
-    target = np.log(table.f_r[:, 0])
-    root = np.sqrt(weights)
-    lobes = _lobes(wi, wo)
-    residual = target[:, None] - lobes
-    residual -= weights @ residual / weights.sum()
-    spread = weights @ np.square(residual)
-    best = np.argsort(spread)[:LOBES]
-    features = _features(wi, wo)
-    centres = features[_spread_out(features)]
-    found = max(
-        (_marginal(features / length, centres / length, residual[:, best], root) for length in lengths),
-        key=lambda pair: pair[0],
-    )
-    scale = weights.sum()
-    return Evidence(found[0], float(np.sqrt(spread[best[0]] / scale)), float(np.sqrt(found[1] / scale)))
+
+    def __init__(self, wi: Array, wo: Array, weights: Array, lengths: Sequence[float] = LENGTHS) -> None:
+        self._lobes = Lobes.at(wi, wo, weights)
+        self._root = np.sqrt(weights)
+        features = half_angle_features(wi, wo)
+        centres = features[_spread_out(features)]
+        self._processes = [_process(features / size, centres / size, self._root) for size in lengths]
+
+    def evidence(self, f_r: Array, *, mixture: bool = True) -> Evidence:
+        """Weigh values.
+
+        Parameters
+        ----------
+        f_r : ndarray, shape (N,)
+            All positive.
+        mixture : bool
+            Whether the mixture of lobes is found, or but the best single one, which is quicker.
+        """
+        residual = self._lobes.residual(np.log(f_r), mixture=mixture)
+        total, left = max(_marginal(process, self._root * residual) for process in self._processes)
+        share = self._lobes.share
+        rms = float(np.sqrt(share @ np.square(residual)))
+        robust = float(share @ np.log(np.hypot(residual, TYPICAL)))
+        noise = float(np.sqrt(left / np.square(self._root).sum()))
+        return Evidence(total, rms, 0.5 * (float(np.log(np.hypot(rms, KNOWN))) + robust), noise)
 
 
-def _lobes(wi: Array, wo: Array) -> Array:
-    """Logarithms of Lambert and lobes (N, M) over the list of widths, reflectances and strengths."""
-    geometry = Geometry(wi, wo)
-    columns = [np.zeros(len(wi))]
-    for model, width in LOBES_OF:
-        for alpha in ALPHAS:
-            for f0 in FRESNEL:
-                lobe = MODELS[model](**{width: alpha, "f0": f0}).basis_at(geometry)["ks"][:, 0]
-                columns += [np.log(1.0 / np.pi + ratio * lobe) for ratio in RATIOS]
-    for slope in ROUGHNESS:
-        diffuser = {"kd": 1.0, "sigma_rad": slope}
-        columns.append(np.log(MODELS["oren-nayar"](**diffuser).evaluate(wi, wo)[:, 0]))
-    return np.stack(columns, axis=1)
-
-
-def _features(wi: Array, wo: Array) -> Array:
-    """Angles (N, 3) that are the same for light and view exchanged and for both sides of the plane."""
+def half_angle_features(wi: Array, wo: Array) -> Array:
+    """Return angles (N, 3) that are the same for light and view exchanged and for both sides of the plane."""
     theta_h, _, theta_d, phi_d = half_difference(wi, wo)
     out_of_plane = np.sin(theta_h) * np.sin(theta_d) * np.cos(2.0 * phi_d)
     return np.stack([np.arcsinh(theta_h / NARROWEST), 2.0 * theta_d, 2.0 * out_of_plane], axis=1)
 
 
-def _marginal(features: Array, centres: Array, residual: Array, root: Array) -> tuple[float, float]:
-    """Return the best marginal likelihood over signals and lobes, and the noise's weighted square sum."""
-    count = len(features)
+def _process(features: Array, centres: Array, root: Array) -> _Process:
     basis = _kernel(features, centres) * root[:, None]
-    # Whitened by the centres' own covariance, basis @ basis.T is the process's (Nystrom 1930).
+    # Whitened by the centres' own covariance, basis.T @ basis is the process's (Nystrom 1930).
     factor = np.linalg.cholesky(_kernel(centres, centres) + 1e-6 * np.eye(len(centres)))
     basis = np.linalg.solve(factor, basis.T)
     values, vectors = np.linalg.eigh(basis @ basis.T)
-    values = np.maximum(values, 0.0)
-    projected = np.square(vectors.T @ (basis @ (root[:, None] * residual)))
-    squares = np.square(root[:, None] * residual).sum(axis=0)
-    best = (-np.inf, 0.0)
-    for signal in SIGNALS:
-        shrink = signal / (1.0 + signal * values)
-        left = np.maximum(squares - shrink @ projected, 1e-12 * count)
-        likelihood = -0.5 * np.log(left / count) - 0.5 * np.log1p(signal * values).sum() / count
-        lobe = int(np.argmax(likelihood))
-        if likelihood[lobe] > best[0]:
-            best = (float(likelihood[lobe]), float(left[lobe]))
-    return best
+    return _Process(np.maximum(values, 0.0), vectors.T @ basis)
+
+
+def _marginal(process: _Process, whitened: Array) -> tuple[float, float]:
+    """Return the best marginal likelihood over signals, per sample, and the noise's weighted square sum."""
+    count = len(whitened)
+    projected = np.square(process.axes @ whitened)
+    signals = np.array(SIGNALS)[:, None]
+    grown = 1.0 + signals * process.values
+    left = np.maximum(np.square(whitened).sum() - (signals / grown) @ projected, 1e-12 * count)
+    likelihood = -0.5 * np.log(left / count) - 0.5 * np.log(grown).sum(axis=1) / count
+    best = int(np.argmax(likelihood))
+    return float(likelihood[best]), float(left[best])
 
 
 def _kernel(a: Array, b: Array) -> Array:

@@ -128,7 +128,7 @@ def _tilted(table: AngleTable, sign: float) -> AngleTable:
 def _times(table: AngleTable, light: int, view: int) -> AngleTable:
     """Multiply values by powers of cosines, each at least that of 89.4 deg."""
     cos_i, cos_o = (np.maximum(np.abs(np.cos(t)), 0.01)[:, None] for t in (table.theta_i, table.theta_o))
-    return replace(table, f_r=table.f_r * cos_i**light * cos_o**view)
+    return table.scaled(cos_i**light * cos_o**view)
 
 
 _APPLY: dict[Step, Callable[[AngleTable], AngleTable]] = {

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Mapping
 
-    import xarray as xr
-
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Add `--json` to a command: one JSON object on standard output and nothing else there."""
@@ -33,8 +31,15 @@ def say(text: str, *, end: str = "\n") -> None:
         print(text, end=end, file=sys.stderr, flush=True)
 
 
-def caution(file: str, samples: xr.Dataset) -> str:
-    """Tell a person why a file may have been cut short, where its reader saw signs of it.
+def caution(file: str, attributes: Mapping[Any, Any]) -> str:
+    """Tell a person why a file may have been cut short or damaged, where its reader saw signs of it.
+
+    Parameters
+    ----------
+    file : str
+        Its name.
+    attributes : mapping
+        Of the samples that were read.
 
     Returns
     -------
@@ -43,7 +48,7 @@ def caution(file: str, samples: xr.Dataset) -> str:
     """
     from analysis.formats.doubts import ATTRIBUTE
 
-    doubts = str(samples.attrs.get(ATTRIBUTE, ""))
+    doubts = str(attributes.get(ATTRIBUTE, ""))
     if doubts:
         say(f"caution: {file}: {doubts}")
     return doubts

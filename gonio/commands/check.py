@@ -9,16 +9,17 @@ conventions. The exit code is 3 if a check fails.
 Conventions: the file is read as degrees and radians, with zenith and azimuth or light and view exchanged,
 with the other sign or sense of angles, relative to the mirror direction, with and without a cosine; the
 readings are ranked by reciprocity, symmetry, smoothness and where the peak lies. --conventions prints the
-ranking, also of files whose angles make no sense as declared. Nothing is changed, unless --reading NAME
---out FILE writes the samples under that reading.
+ranking, also of files whose angles make no sense as declared, and where the evidence does not decide, what
+measurement would. Nothing is changed, unless --reading NAME --out FILE writes the samples under that reading,
+which the written file records.
 
 Rejecting: --reject leaves samples of a .nc file out of every fit, with --reason, your name and the date in
 the file's log; --restore NUMBER takes one back. SELECT is numbers (3,10-20), ranges in degrees
 (theta_o=70..85 azimuth=-10..10), or the name of a check, which means the samples that it objects to.
 
 The JSON object: files: [{file, samples, channels, verdict, checks: [{name, quantity, value, warn, fail,
-count, verdict, meaning, where, objects_to}], conventions: {decided, words, readings: [{reading, words,
-same_as, log_odds, above_horizon, reciprocity, lobe_rms, noise_rms}]}, rejections: [...], doubts}]
+count, verdict, meaning, where, objects_to}], conventions: {decided, words, to_decide, readings: [{reading,
+words, same_as, log_odds, above_horizon, reciprocity, lobe_rms, noise_rms}]}, rejections: [...], doubts}]
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.conventions_text import diagnosis_entry, ranking
 from gonio.format_options import add_format_options, format_options
 from gonio.output import add_json_option, caution, print_json
 from gonio.overwriting import add_drop_option, keep_rejections, require_place
@@ -45,8 +47,6 @@ EXAMPLE = (
     "  gonio check garnet.brdf --conventions\n"
     "  gonio check samples.nc --reject theta_o=80..90 --reason 'stray light from the rail'"
 )
-
-SHOWN_READINGS = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +134,7 @@ def _read(file: str, options: argparse.Namespace) -> xr.Dataset:
     from analysis.samples import read, select
 
     samples = read(file, **format_options(options))
-    caution(file, samples)
+    caution(file, samples.attrs)
     return select(
         samples, wavelength_nm=options.wavelength_nm, max_theta_deg=options.max_theta_deg, where=file
     )
@@ -162,11 +162,13 @@ def _conventions(options: argparse.Namespace) -> int:
 
     entries = []
     for file in options.files:
-        diagnosis = diagnose(declared_table(Path(file), format_options(options)))
+        table = declared_table(Path(file), format_options(options))
+        doubts = caution(file, table.attributes)
+        diagnosis = diagnose(table)
         if options.json:
-            entries.append({"file": file, "conventions": _diagnosis_entry(diagnosis)})
+            entries.append({"file": file, "conventions": diagnosis_entry(diagnosis), "doubts": doubts})
         else:
-            print("\n".join(_ranking(file, diagnosis)))
+            print("\n".join(ranking(file, diagnosis)))
     if options.json:
         print_json({"files": entries})
     return 0
@@ -180,12 +182,14 @@ def _reread(options: argparse.Namespace) -> int:
 
     reading, out = reading_of(options.reading), Path(options.out)
     require_place(out, options)
-    samples = reread(declared_table(Path(options.files[0]), format_options(options)), reading)
+    table = declared_table(Path(options.files[0]), format_options(options))
+    doubts = caution(options.files[0], table.attributes)
+    samples = reread(table, reading)
     left_out = samples.attrs["reading_left_out"]
     loss = write(keep_rejections(samples, out, options), out)
     if options.json:
-        size = samples.sizes["sample"]
-        print_json({"out": options.out, "reading": reading.name, "samples": size, "left_out": left_out})
+        found = {"samples": samples.sizes["sample"], "left_out": left_out, "doubts": doubts}
+        print_json({"out": options.out, "reading": reading.name, **found})
     else:
         print(
             f"{options.out}: {reading.words}; {samples.sizes['sample']} samples, {left_out} left out; {loss}"
@@ -239,7 +243,7 @@ def _file_entry(
         "channels": [str(channel) for channel in samples["channel"].to_numpy()],
         "verdict": worst(findings).value,
         "checks": [_entry(finding) for finding in findings],
-        "conventions": _diagnosis_entry(diagnosis),
+        "conventions": diagnosis_entry(diagnosis),
         "rejections": _log_entries(samples),
         "doubts": str(samples.attrs.get(ATTRIBUTE, "")),
     }
@@ -258,23 +262,6 @@ def _entry(finding: Finding) -> dict[str, Any]:
         "where": finding.where,
         "objects_to": finding.samples,
     }
-
-
-def _diagnosis_entry(diagnosis: Diagnosis) -> dict[str, Any]:
-    readings = [
-        {
-            "reading": each.reading.name,
-            "words": each.reading.words,
-            "same_as": [reading.name for reading in each.same],
-            "log_odds": each.log_odds,
-            "above_horizon": each.above_horizon,
-            "reciprocity": each.reciprocity,
-            "lobe_rms": each.evidence.lobe_rms,
-            "noise_rms": each.evidence.noise_rms,
-        }
-        for each in diagnosis.ranked
-    ]
-    return {"decided": diagnosis.decided, "words": diagnosis.words, "readings": readings}
 
 
 def _log_entries(samples: xr.Dataset) -> list[dict[str, Any]]:
@@ -296,20 +283,6 @@ def _line(finding: Finding) -> str:
     head = f"  {finding.verdict.value:<10}  {finding.name:<16} {value:>9}  {finding.quantity} ({limits})"
     notes = [f"{'':14}{text}" for text in (finding.meaning, finding.where) if text]
     return "\n".join([head, *notes])
-
-
-def _ranking(file: str, diagnosis: Diagnosis) -> list[str]:
-    """Set the best readings for people, with what speaks for each."""
-    head = f"  {'log odds':>9} {'reciprocity':>12} {'off lobe':>9} {'noise':>7} {'above':>6}  reading"
-    lines = [f"{file}: {diagnosis.words}", f"  from {diagnosis.count} samples", "", head]
-    for each in diagnosis.ranked[:SHOWN_READINGS]:
-        numbers = (
-            f"{each.log_odds:9.1f} {each.reciprocity:12.3f} {each.evidence.lobe_rms:9.2f} "
-            f"{each.evidence.noise_rms:7.3f} {each.above_horizon:6.0%}"
-        )
-        also = f" (or {', '.join(r.name for r in each.same[:2])})" if each.same else ""
-        lines.append(f"  {numbers}  {each.reading.name}{also}")
-    return [*lines, ""]
 
 
 def _rejections(samples: xr.Dataset) -> list[str]:

@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         for file in options.files
     ]
     samples, left_behind = join(tables, options.files)
-    doubts = caution(" ".join(options.files), samples)
+    doubts = caution(" ".join(options.files), samples.attrs)
     samples = keep_rejections(samples, out, options)
     with at_work(f"writing {out}"):
         done = convert(samples, out, to=options.to, fill=options.fill)

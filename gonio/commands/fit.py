@@ -180,7 +180,7 @@ def _fit(file: str, names: Sequence[str], options: argparse.Namespace, progress:
     from gonio.fit_entry import masked
 
     given = read(file, **format_options(options))
-    doubts = caution(file, given)
+    doubts = caution(file, given.attrs)
     whole = select(given, wavelength_nm=options.wavelength_nm, where=file)
     require_degrees(whole, file)
     if options.aperture_deg:

@@ -13,7 +13,8 @@ import pytest
 from analysis.angle_table import AngleTable, table_of
 from analysis.checks.conventions import conventions
 from analysis.checks.finding import Verdict
-from analysis.doctor import declared_table, diagnose, reread, signature_of
+from analysis.doctor import declared_table, diagnose, reread, same_within_noise
+from analysis.doctor_same import signature_of
 from analysis.doctor_readings import INVERSE, Reading, Step, candidates, reading_of
 from analysis.models import MODELS
 from analysis.samples import make_samples, read
