@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from analysis.formats.doubts import ATTRIBUTE
+from analysis.rejection import LOG
+from analysis.rejection_transfer import joined
 from analysis.samples import UNITS, make_samples
 from rig.errors import BadInput
 
@@ -45,12 +47,13 @@ def join(tables: Sequence[xr.Dataset], names: Sequence[str]) -> Joined:
     Returns
     -------
     Joined
-        A variable that one table lacks is dropped from all; `u_f_r` then stays what each table had.
+        A variable that one table lacks is dropped from all; `u_f_r` then stays what each table had. The logs
+        of rejected samples follow each other, under the new numbers of entries and samples.
 
     Raises
     ------
     BadInput
-        If channels or wavelengths differ.
+        If channels or wavelengths differ, or a log is damaged.
     """
     first = tables[0]
     if len(tables) == 1:
@@ -80,8 +83,9 @@ def join(tables: Sequence[xr.Dataset], names: Sequence[str]) -> Joined:
         if table.attrs.get(ATTRIBUTE)
     )
     attributes = {"cosine": cosines.pop()} | ({ATTRIBUTE: doubts} if doubts else {})
-    others = sorted({str(name) for table in tables for name in table.data_vars if name not in UNITS})
-    return Joined(samples.assign_attrs(attributes), tuple(n for n in known if n not in kept) + tuple(others))
+    others = sorted({str(n) for table in tables for n in table.data_vars if n not in UNITS and n != LOG})
+    samples = joined(tables, samples.assign_attrs(attributes))
+    return Joined(samples, tuple(name for name in known if name not in kept) + tuple(others))
 
 
 def _apart(

@@ -59,10 +59,7 @@ def carry_over(old: xr.Dataset, new: xr.Dataset) -> xr.Dataset:
         if ours[:common] != texts[:common]:
             raise Refused("both the earlier samples and the new ones have a log of rejections")
         return new if len(ours) >= len(texts) else with_log(new, texts)
-    carried = with_log(new, texts)
-    # Files joined into one lose their logs, but not their flags.
-    flags = carried["flags"].to_numpy() | (new["flags"].to_numpy() & REJECTED)
-    return carried.assign(flags=carried["flags"].copy(data=flags))
+    return _with_log_and_flags(new, texts)
 
 
 def narrowed(samples: xr.Dataset, rows: Sequence[int], channels: Sequence[int]) -> xr.Dataset:
@@ -88,6 +85,48 @@ def narrowed(samples: xr.Dataset, rows: Sequence[int], channels: Sequence[int]) 
     found = Matching(place, np.arange(count), np.ones(count, dtype=bool))
     renumbered = {old: new for new, old in enumerate(channels)}
     return with_log(kept, _renumbered(samples, found, renumbered, frozenset()))
+
+
+def joined(tables: Sequence[xr.Dataset], samples: xr.Dataset) -> xr.Dataset:
+    """Return samples that are tables one after the other, with the logs of all of them one after the other.
+
+    Parameters
+    ----------
+    tables : sequence of xarray.Dataset
+        Tables of the same channels, with or without logs.
+    samples : xarray.Dataset
+        Their samples in the same order.
+
+    Returns
+    -------
+    xarray.Dataset
+        Entries and samples under their new numbers; `samples` itself where no table has a log.
+
+    Raises
+    ------
+    BadInput
+        If a log is damaged.
+    """
+    texts: list[str] = []
+    start = 0
+    for table in tables:
+        before = len(texts)
+        for entry, text in zip(log_of(table), table[LOG].to_numpy() if LOG in table else (), strict=True):
+            fields = json.loads(str(text)) | {"number": entry.number + before}
+            if entry.action == "reject":
+                fields["samples"] = spans(numbers_of(entry.samples) + start)
+            else:
+                fields["of"] = entry.of + before
+            texts.append(json.dumps(fields, ensure_ascii=False))
+        start += table.sizes["sample"]
+    return _with_log_and_flags(samples, texts) if texts else samples
+
+
+def _with_log_and_flags(samples: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
+    """Return samples with a log; values that are flagged as rejected without a reason stay so."""
+    logged = with_log(samples, texts)
+    flags = logged["flags"].to_numpy() | (samples["flags"].to_numpy() & REJECTED)
+    return logged.assign(flags=logged["flags"].copy(data=flags))
 
 
 def _renumbered(

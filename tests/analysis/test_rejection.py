@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.fit import fit
+from analysis.joining import join
 from analysis.rejection import (
     LOG,
     REJECTED,
@@ -220,3 +221,28 @@ def test_narrowed_samples_keep_the_log_under_their_new_numbers(samples):
     assert np.flatnonzero(few["flags"].to_numpy()[:, 0] & REJECTED).tolist() == [3]
     again = reject(few, np.array([0]), **WHO)
     assert np.flatnonzero(again["flags"].to_numpy()[:, 0] & REJECTED).tolist() == [0, 3]
+
+
+def test_joined_files_keep_their_logs(samples, tmp_path):
+    """Catches logs that joining drops, and numbers that mean another file's samples or entries."""
+    first = restore(reject(samples, np.array([3, 39]), **WHO), 1, **WHO)
+    third = reject(reject(samples, np.array([0, 1]), channels=[1], **WHO), np.array([5]), **WHO)
+    third = restore(third, 2, **WHO)
+    without = reject(samples, np.array([2]), **WHO).drop_vars(LOG)
+    together, dropped = join([first, samples, third, without], ["1.nc", "2.nc", "3.nc", "4.nc"])
+    assert dropped == ()
+    log = log_of(together)
+    assert [(entry.number, entry.action, entry.of, entry.samples) for entry in log] == [
+        (1, "reject", 0, "3,39"),
+        (2, "restore", 1, ""),
+        (3, "reject", 0, "80-81"),
+        (4, "reject", 0, "85"),
+        (5, "restore", 4, ""),
+    ]
+    assert _rejected(together) == {80, 81, 122}
+    assert not together["flags"].to_numpy()[[80, 81], 0].any()
+    assert [entry.number for entry in standing(together)] == [3]
+    write(together, tmp_path / "all.nc")
+    again = reject(read(tmp_path / "all.nc"), np.array([0]), **WHO)
+    assert log_of(again)[-1].number == 6
+    assert _rejected(again) >= {0, 80, 81}
