@@ -90,6 +90,8 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     ------
     BadInput
         If the samples are too few, lie in one plane, or have channels that the format cannot hold.
+    Refused
+        If they are anisotropic and no table of their own stands behind them.
     """
     kept = kept_table(samples)
     if kept is None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.interpolation.isotropy import require_isotropic
 from analysis.interpolation.kriging import Estimate, Kriging, Settings, tuned, with_misfit
 from analysis.interpolation.trend import Trend, fit_trend
 from rig.angles import direction_to_spherical, half_vector
@@ -67,6 +68,8 @@ class Interpolant:
     ------
     BadInput
         If the samples lie in one plane, so that nothing is known beside it.
+    Refused
+        If they depend on the light's azimuth; see `analysis.interpolation.isotropy`.
     """
 
     def __init__(
@@ -78,13 +81,14 @@ class Interpolant:
         u_independent: Array | None = None,
         u_common: Array | None = None,
     ) -> None:
-        place = _places(wi, wo)
+        place = places(wi, wo)
         if np.abs(place[:, 1]).max() < IN_PLANE:
             raise BadInput(
                 "lie in one plane: nothing is known beside it",
                 where="samples",
                 todo="measure out of the plane too, or write a table of samples",
             )
+        require_isotropic(place, wi, f_r)
         self.trend: Trend = fit_trend(wi, wo, f_r)
         level = self.trend(wi, wo)
         own, shared = (np.zeros_like(f_r) if u is None else u for u in (u_independent, u_common))
@@ -150,7 +154,7 @@ class Interpolant:
         return ratio.value * level, np.sqrt(ratio.variance + np.square(ratio.common)) * level
 
     def _direct(self, wi: Array, wo: Array) -> Estimate:
-        place = _places(wi, wo)
+        place = places(wi, wo)
         if not self.theta_i.size:
             return self._fields[0](place)
         below, above, upper = self._around(place[:, 2])
@@ -207,8 +211,19 @@ class Interpolant:
         return np.asarray(np.sqrt(np.maximum(np.concatenate(errors).mean(axis=0), 0.0)))
 
 
-def _places(wi: Array, wo: Array) -> Array:
-    """Place of the half vector on a disc, radius sqrt(2 theta_h / pi), azimuth from the light's; theta_i."""
+def places(wi: Array, wo: Array) -> Array:
+    """Return coordinates in which an isotropic surface has one value.
+
+    Parameters
+    ----------
+    wi, wo : ndarray, shape (N, 3)
+        Unit directions above the surface.
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+        The half vector on a disc, radius sqrt(2 theta_h / pi), azimuth from the light's; and theta_i in radians.
+    """
     theta_i, phi_i = direction_to_spherical(wi)
     theta_h, phi_h = direction_to_spherical(half_vector(wi, wo))
     radius, phi = np.sqrt(theta_h * (2.0 / np.pi)), phi_h - phi_i

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.formats.scattered import usable
 from analysis.interpolation import Interpolant
+from analysis.interpolation.interpolant import places
+from analysis.interpolation.isotropy import require_isotropic
 from analysis.models import MODELS
+from analysis.samples import read
 from rig.angles import direction_to_spherical, spherical_to_direction
-from rig.errors import BadInput
+from rig.errors import BadInput, Refused
 
 PAINT = MODELS["ggx"](kd=np.array([0.3, 0.1]), ks=0.6, alpha=0.15, f0=0.05)
 
@@ -128,3 +132,39 @@ def test_incidences_far_from_all_layers_are_holes():
     found = Interpolant(wi, wo, PAINT.evaluate(wi, wo))
     wi, wo = layered([50.0], 200, 22)
     assert found(wi, wo).hole.mean() > 0.8
+
+
+@pytest.mark.parametrize("grid", [True, False])
+def test_anisotropic_samples_are_refused(grid):
+    """Catches a brushed metal that is interpolated as if the light's azimuth did not matter."""
+    rng = np.random.default_rng(3)
+    if grid:
+        theta_i, phi_i, theta_o, phi = (
+            axis.ravel()
+            for axis in np.meshgrid(
+                np.radians([10.0, 40.0, 65.0]), np.radians([0, 45, 90]), np.radians(np.arange(4, 80, 8)),
+                np.radians(np.arange(0.0, 360.0, 12.0)),
+            )
+        )  # fmt: skip
+        phi_o = phi_i + phi
+    else:
+        theta_i, theta_o = np.arccos(rng.uniform(np.cos(1.3), 1.0, (2, 4000)))
+        phi_i, phi_o = rng.uniform(-np.pi, np.pi, (2, 4000))
+    wi, wo = spherical_to_direction(theta_i, phi_i), spherical_to_direction(theta_o, phi_o)
+    noise = np.exp(0.02 * rng.standard_normal((len(wi), 1)))
+    brushed = MODELS["ggx-anisotropic"](kd=0.1, ks=1.0, alpha_x=0.1, alpha_y=0.4, f0=0.3)
+    with pytest.raises(Refused, match=r"anisotropic.*write a format of samples"):
+        Interpolant(wi, wo, brushed.evaluate(wi, wo)[:, :1] * noise)
+    paint = MODELS["ggx"](kd=0.1, ks=1.0, alpha=0.2, f0=0.3)
+    Interpolant(wi, wo, paint.evaluate(wi, wo)[:, :1] * noise)
+
+
+@pytest.mark.realdata
+def test_real_isotropic_samples_are_not_refused(shared_data):
+    """Catches a laboratory's sample that lies a little tilted, taken for anisotropic."""
+    raw = shared_data / "rt300s" / "raw"
+    blank = raw / "blank_v2o0_20250911.xls"
+    tilted = read(raw / "NiTE_on_steel_v1o0B_20250916.xls", blank=blank)
+    smooth = [read(shared_data / "merl-standins" / f"{name}-fabric.npz") for name in ("light-brown", "white")]
+    for given in map(usable, [tilted, *smooth]):
+        require_isotropic(places(given.wi, given.wo), given.wi, given.f_r)
