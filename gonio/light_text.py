@@ -36,13 +36,11 @@ def audit(options: argparse.Namespace) -> int:
     """
     from rig.description import default_rig, load_rig
     from simulator.light.audit import audit_poses, audit_scene, explain, stray_light
+    from simulator.options import check_light
 
     if options.explain and options.stray:
         raise BadInput("--explain and --stray together", where="gonio sim", todo="ask one at a time")
-    if not 0.0 < options.tolerance < 1.0:
-        raise BadInput(
-            f"a tolerance of {options.tolerance:g}", where="--tolerance", todo="give one between 0 and 1"
-        )
+    check_light(options)
     if options.poses < 1:
         raise BadInput(f"{options.poses} poses", where="--poses", todo="ask for at least 1")
     rig = load_rig(options.rig) if options.rig else default_rig()

@@ -13,6 +13,7 @@ import numpy as np
 from simulator.dng import DngMeta, exact_seconds, write_dng
 from simulator.light.renderer import Renderer
 from simulator.materials import ClosedFormMaterial
+from simulator.options import TOLERANCE
 from simulator.sensor import RGGB, Sensor, derived_seed
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class FrameMaker:
         Variant of Mitsuba; by default the fastest that can run.
     housing_albedo : float
         Albedo of the housing; 0 is black surroundings.
+    tolerance : float
+        Error of the light that is allowed, relative to the mean radiance over the sample.
     bits : int
         Depth of the camera's converter, 14 or 12.
 
@@ -70,13 +73,19 @@ class FrameMaker:
         folder: str | Path | None = None,
         variant: str | None = None,
         housing_albedo: float = 0.0,
+        tolerance: float = TOLERANCE,
         bits: int = 14,
     ) -> None:
         self.rig, self.seed = rig, seed
         self.folder = Path(rig.ports.frames if folder is None else folder)
         self.white_rho = true_white_rho(rig, seed)
         self.renderer = Renderer(
-            rig, materials, variant=variant, white_rho=self.white_rho, housing_albedo=housing_albedo
+            rig,
+            materials,
+            variant=variant,
+            white_rho=self.white_rho,
+            housing_albedo=housing_albedo,
+            tolerance=tolerance,
         )
         camera = rig.camera
         serial = camera.serial or NAMELESS_SERIAL

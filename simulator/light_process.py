@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
 from simulator.camera_faults import FaultyCamera
+from simulator.options import TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,6 +54,10 @@ class LightSettings:
         The twin's seed.
     variant : str or None
         Mitsuba's variant, None to choose.
+    housing_albedo : float
+        Of the walls around the machine; 0 is black.
+    tolerance : float
+        Error of the light that is allowed, relative to the mean radiance over the sample.
     """
 
     folder: str
@@ -62,6 +67,8 @@ class LightSettings:
     materials: dict[str, str] = field(default_factory=dict)
     seed: int = 0
     variant: str | None = None
+    housing_albedo: float = 0.0
+    tolerance: float = TOLERANCE
 
     @property
     def rig_file(self) -> Path:
@@ -153,7 +160,14 @@ def _answers(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
 def _frame_maker(rig: Rig, settings: LightSettings) -> FrameMaker:
     from simulator.frames import FrameMaker
 
-    return FrameMaker(rig, settings.materials, settings.seed, variant=settings.variant)
+    return FrameMaker(
+        rig,
+        settings.materials,
+        settings.seed,
+        variant=settings.variant,
+        housing_albedo=settings.housing_albedo,
+        tolerance=settings.tolerance,
+    )
 
 
 def _private_standard_output() -> TextIO:

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     import argparse
 
 
+TOLERANCE = 1e-3
+"""Relative error of the light: a pixel's photon noise in a full exposure is five times as large."""
+
+
 @dataclass(frozen=True)
 class TwinSettings:
     """What a twin is started with.
@@ -31,6 +35,10 @@ class TwinSettings:
         Whether to keep a log of the wires.
     variant : str or None
         Mitsuba's variant, None to choose.
+    housing_albedo : float
+        Of the walls around the machine; 0 is black.
+    tolerance : float
+        Error of the light that is allowed, relative to the mean radiance over the sample.
     commands : int or None
         A descriptor: the twin ends with its other end, and each line on it flushes the log and is answered on
         standard output.
@@ -45,6 +53,8 @@ class TwinSettings:
     folder: str | None = None
     log: bool = True
     variant: str | None = None
+    housing_albedo: float = 0.0
+    tolerance: float = TOLERANCE
     commands: int | None = None
     faults: str | None = None
 
@@ -67,8 +77,34 @@ def add_twin_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variant", help="Mitsuba's variant, scalar or llvm (default: the fastest that works)"
     )
+    parser.add_argument(
+        "--housing-albedo", type=float, default=0.0, metavar="A", help="of the walls (default: 0, black)"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=TOLERANCE,
+        metavar="T",
+        help=f"relative error of the light that is allowed (default: {TOLERANCE:g})",
+    )
     parser.add_argument("--faults", metavar="FILE", help="what fails and when (docs/faults.md)")
     parser.add_argument("--no-log", action="store_true", help="keep no log of the wires")
+
+
+def check_light(options: argparse.Namespace) -> None:
+    """Refuse an albedo or a tolerance that is none.
+
+    Raises
+    ------
+    BadInput
+        Says which.
+    """
+    if not 0.0 < options.tolerance < 1.0:
+        what = f"a tolerance of {options.tolerance:g}"
+        raise BadInput(what, where="--tolerance", todo="give one between 0 and 1")
+    if not 0.0 <= options.housing_albedo < 1.0:
+        what = f"a housing of albedo {options.housing_albedo:g}"
+        raise BadInput(what, where="--housing-albedo", todo="give an albedo from 0, below 1")
 
 
 def settings_from(options: argparse.Namespace, *, commands: int | None = None) -> TwinSettings:
@@ -77,8 +113,9 @@ def settings_from(options: argparse.Namespace, *, commands: int | None = None) -
     Raises
     ------
     BadInput
-        A station without a material.
+        A station without a material, an albedo or a tolerance that is none.
     """
+    check_light(options)
     materials = {}
     for station in options.station:
         name, separator, material = station.partition("=")
@@ -93,6 +130,8 @@ def settings_from(options: argparse.Namespace, *, commands: int | None = None) -
         folder=options.folder,
         log=not options.no_log,
         variant=options.variant,
+        housing_albedo=options.housing_albedo,
+        tolerance=options.tolerance,
         commands=commands,
         faults=options.faults,
     )

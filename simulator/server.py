@@ -123,6 +123,8 @@ class _Server:
             materials=settings.materials,
             seed=settings.seed,
             variant=settings.variant,
+            housing_albedo=settings.housing_albedo,
+            tolerance=settings.tolerance,
         )
         self._stopped_by: int | None = None
         self._ended = False

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import DeviceLost
 from simulator.light_process import error_from
+from simulator.options import TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,6 +44,10 @@ class Twin:
         Mitsuba's variant; by default the fastest that works.
     faults : path, optional
         Script of faults, see `simulator.faults`.
+    housing_albedo : float
+        Of the walls around the machine; 0 is black.
+    tolerance : float
+        Error of the light that is allowed, relative to the mean radiance over the sample.
 
     Attributes
     ----------
@@ -81,6 +86,8 @@ class Twin:
         log: bool = True,
         variant: str | None = None,
         faults: str | PathLike[str] | None = None,
+        housing_albedo: float = 0.0,
+        tolerance: float = TOLERANCE,
     ) -> None:
         self._arguments = [f"--seed={seed}", f"--speed={speed!r}"]
         for station, material in (materials or {}).items():
@@ -90,6 +97,7 @@ class Twin:
         self._arguments += [f"--folder={folder}"] if folder else []
         self._arguments += [f"--variant={variant}"] if variant else []
         self._arguments += [f"--faults={faults}"] if faults else []
+        self._arguments += [f"--housing-albedo={housing_albedo!r}", f"--tolerance={tolerance!r}"]
         self._arguments += [] if log else ["--no-log"]
         self._process: subprocess.Popen[str] | None = None
 

@@ -35,12 +35,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a sample to ask about (default: lambert:kd=0.5); may be repeated",
     )
     audit.add_argument(
-        "--housing-albedo", type=float, default=0.0, metavar="A", help="of the walls (default: 0, black)"
-    )
-    audit.add_argument(
-        "--tolerance", type=float, default=1e-3, metavar="T", help="relative error allowed (default: 1e-3)"
-    )
-    audit.add_argument(
         "--poses", type=int, default=4, metavar="N", help="how many poses, drawn by --seed (default: 4)"
     )
     add_json_option(parser)

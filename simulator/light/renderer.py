@@ -17,6 +17,7 @@ from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
 from simulator.light.scene import Scene, default_housing
 from simulator.materials import station_materials
+from simulator.options import TOLERANCE
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from simulator.materials import Material
 
 Array = NDArray[np.float64]
-
-TOLERANCE = 1e-3
-"""Relative error of the light: a pixel's photon noise in a full exposure is five times as large."""
 
 
 class Renderer:

@@ -107,6 +107,8 @@ def test_explain_tells_what_is_computed_and_what_is_skipped() -> None:
         ["--explain", "--tolerance", "0"],
         ["--stray", "--poses", "0"],
         ["--stray", "--housing-albedo", "1.5"],
+        ["--housing-albedo", "1.5"],
+        ["--tolerance", "0"],
         ["--explain", "--material", "lambrt:kd=0.5"],
     ],
 )

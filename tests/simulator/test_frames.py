@@ -166,3 +166,14 @@ def test_twelve_bits_fit_their_own_calibration(default_rig: Rig) -> None:
     frame = read_raw(maker.make(replace(REQUEST, station="white", exposure_s=10.0)))
     assert frame.counts.max() <= 4095
     assert frame.counts.min() >= load_sensor(default_rig.folder / "calibration" / "sensor.toml").clip_dn
+
+
+def test_the_light_process_renders_what_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch a housing or a tolerance that is asked for and never reaches the light."""
+    from simulator import light_process
+
+    told: dict[str, Any] = {}
+    monkeypatch.setattr("simulator.frames.FrameMaker", lambda *_, **options: told.update(options))
+    settings = light_process.LightSettings(str(tmp_path), "s", "l", housing_albedo=0.2, tolerance=1e-2)
+    light_process._frame_maker(describe(), settings)
+    assert (told["housing_albedo"], told["tolerance"]) == (0.2, 1e-2)
