@@ -13,9 +13,9 @@ import pytest
 from analysis.angle_table import AngleTable, table_of
 from analysis.checks.conventions import conventions
 from analysis.checks.finding import Verdict
-from analysis.doctor import declared_table, diagnose, reread, same_within_noise
-from analysis.doctor_same import signature_of
+from analysis.doctor import declared_table, diagnose, reread
 from analysis.doctor_readings import INVERSE, Reading, Step, candidates, reading_of
+from analysis.doctor_same import signature_of
 from analysis.models import MODELS
 from analysis.samples import make_samples, read
 from rig.angles import spherical_to_direction
@@ -66,12 +66,13 @@ def test_specular_relative_is_the_mirror_direction():
     "mistake",
     [
         Step.WITH_COS_O,
-        Step.OVER_COS_O,
-        Step.OPPOSITE,
+        Step.OVER_COS_I,
         Step.EXCHANGED,
-        Step.DEGREES,
         Step.RELATIVE,
-        Step.BELOW_O,
+        *(
+            pytest.param(step, marks=pytest.mark.slow)
+            for step in (Step.OVER_COS_O, Step.WITH_COS_I, Step.OPPOSITE, Step.DEGREES, Step.BELOW_O)
+        ),
     ],
 )
 def test_a_mistake_is_named(mistake):
@@ -107,7 +108,9 @@ def test_undecided_is_said():
     assert not found.decided
     assert "does not decide" in found.words
     assert any(Step.OPPOSITE in each.reading.steps for each in found.open)
+    assert "white reference" in found.to_decide
     assert conventions(found).verdict is Verdict.NOT_TESTED
+    assert conventions(found).where == found.to_decide
     assert diagnose(AngleTable(*np.zeros((4, 3)), np.ones((3, 1)))).ranked == ()
 
 
@@ -119,6 +122,8 @@ def test_reread_records_the_reading():
     assert written.attrs["reading"] == "cosine-of-view"
     np.testing.assert_allclose(written["f_r"] * written["wo"].to_numpy()[:, 2:], samples["f_r"], rtol=1e-12)
     np.testing.assert_allclose(written["u_f_r"] / written["f_r"], 0.01, rtol=1e-12)
+    twice = reread(table_of(written), reading_of("light-view"))
+    assert twice.attrs["reading"] == "cosine-of-view, then light-view"
     tilted = reread(table, reading_of("specular-relative"))
     assert tilted.attrs["reading_left_out"] == 500 - tilted.sizes["sample"] > 0
     assert tilted["wo"].to_numpy()[:, 2].min() > 0.0
@@ -179,7 +184,14 @@ def test_chassis_with_zenith_and_azimuth_exchanged(shared_data, tmp_path):
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("name", ["cm_military_green_rgb", "vch_golden_yellow_rgb"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "vch_golden_yellow_rgb",
+        pytest.param("cm_military_green_rgb", marks=pytest.mark.slow),
+        pytest.param("irid_flake_paint1_rgb", marks=pytest.mark.slow),
+    ],
+)
 def test_rgl_with_and_without_the_cosine(shared_data, name):
     """Catches values of RGL's files that are divided by a cosine once too often, or not at all."""
     path = shared_data / "rgl" / f"{name}.bsdf"
@@ -191,10 +203,12 @@ def test_rgl_with_and_without_the_cosine(shared_data, name):
 
 @pytest.mark.realdata
 def test_few_corruptions_of_the_sample_files(shared_data, study):
-    """Catches a doctor that got worse: of four corrupted files none is named wrongly, most are named."""
-    found = study.rates(study.trial(seed) for seed in range(4))
-    assert found["wrong"] == 0.0
-    assert found["right"] >= 0.7
+    """Catches a study that miscounts: one corrupted file, and one where the mistake changes nothing."""
+    trials = [study.trial(seed) for seed in (1, 62)]
+    assert [each.verdict for each in trials] == ["right", "right"]
+    assert [each.distinguishable for each in trials] == [True, False]
+    found = study.rates(trials)
+    assert found == {"distinguishable": 0.5, "right": 1.0, "wrong": 0.0, "undecided": 0.0}
 
 
 @pytest.mark.slow
@@ -202,6 +216,13 @@ def test_few_corruptions_of_the_sample_files(shared_data, study):
 @pytest.mark.timeout(1800)
 def test_many_corruptions_of_the_sample_files(shared_data, study):
     """Catches a doctor that is wrong more often than it may be."""
-    found = study.rates(study.trial(seed) for seed in range(study.SEEDS))
-    assert found["wrong"] <= study.WRONG_BAR
-    assert found["right"] >= study.RIGHT_BAR
+    found = study.rates([study.trial(seed) for seed in range(study.SEEDS)])
+    assert 100.0 * found["wrong"] <= study.WRONG_PERCENT
+    assert 100.0 * found["right"] >= study.RIGHT_PERCENT
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_no_clean_file_is_called_wrong(shared_data, study):
+    """Catches a doctor that cries wolf."""
+    assert study.false_alarms() == []
