@@ -4,34 +4,39 @@ lambert:kd=0.5                                     a model of `analysis.models`
 cook-torrance:kd=0.1/0.2/0.3,ks=0.5,m=0.2,ior=1.5  slashes separate red, green and blue
 mitsuba:roughconductor,alpha=0.2,material=Au       any BSDF of Mitsuba by its name
 bsdf:paint.bsdf                                    a measured BSDF file (Dupuy & Jakob 2018)
+merl:gold-metallic-paint.binary                    a measured file of MERL's (Matusik et al. 2003)
+
+What follows an `@` says how it is made and mounted; see `simulator.mounting`:
+
+lambert:kd=0.5@sphere:radius_mm=15@checker:side_mm=4,kd=0.1
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from rig.errors import BadInput
 from simulator.bsdfs import PLUGIN, has_lobes
+from simulator.line_words import CHANNELS, Value, hint, numbers, pairs
+from simulator.mounting import PLAIN, Mounting, mounting_of, split_parts
+from simulator.tables import TABLES, TableMaterial, read_table_material
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
 
     from analysis.models.base import Model
 
-CHANNELS = 3
+    Array = NDArray[np.float64]
+    Reflectance = Callable[[Array, Array], Array]
 
 MITSUBA_PREFIX = "mitsuba"
-MEASURED_PREFIX = "bsdf"
 NOT_RENDERED = "the material has a closed form, but Mitsuba cannot hold it"
 """Why no method that goes through Mitsuba will do for a material that is not `rendered`."""
-_EXAMPLE = "write for example lambert:kd=0.5"
-_MEASURED_MAGIC = b"tensor_file\0"
-
-Value = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -46,11 +51,16 @@ class ClosedFormMaterial:
         Name of the model.
     parameters : mapping of str to float or tuple of float
         Value, or one per channel, of every parameter.
+    mounting : Mounting
+        How the sample is made and mounted.
     """
 
     spec: str
     model: str
     parameters: Mapping[str, Value] = field(hash=False)
+    mounting: Mounting = PLAIN
+
+    has_closed_form = True
 
     @property
     def truth(self) -> dict[str, list[float]]:
@@ -65,6 +75,23 @@ class ClosedFormMaterial:
         from analysis.models import MODELS
 
         return MODELS[self.model](**self.parameters)
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether the sample may be turned about its normal."""
+        from analysis.models import MODELS
+
+        return MODELS[self.model].ISOTROPIC
+
+    def reflectance(self) -> Reflectance:
+        """Return a function (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in float64."""
+        model = self.closed_form()
+
+        def evaluate(wi: Array, wo: Array) -> Array:
+            values = model.evaluate(wi, wo)
+            return np.broadcast_to(values, (*values.shape[:-1], CHANNELS))
+
+        return evaluate
 
     @property
     def rendered(self) -> bool:
@@ -102,10 +129,16 @@ class MitsubaMaterial:
         The line that names it.
     description : mapping
         The BSDF as Mitsuba loads it; colours are tuples of three.
+    mounting : Mounting
+        How the sample is made and mounted.
     """
 
     spec: str
     description: Mapping[str, Any] = field(hash=False)
+    mounting: Mounting = PLAIN
+
+    has_closed_form = False
+    isotropic = False
 
     @property
     def truth(self) -> dict[str, list[float]]:
@@ -125,7 +158,7 @@ class MitsubaMaterial:
         }
 
 
-Material = ClosedFormMaterial | MitsubaMaterial
+Material = ClosedFormMaterial | MitsubaMaterial | TableMaterial
 
 
 def _flat(truth: Mapping[str, list[float]]) -> dict[str, float]:
@@ -160,18 +193,37 @@ def parse_material(spec: str | Material) -> Material:
     """
     if not isinstance(spec, str):
         return spec
-    kind, _, rest = spec.strip().partition(":")
-    kind = kind.strip().lower()
-    if kind == MEASURED_PREFIX:
-        return _measured(spec, rest.strip())
+    text, parts = split_parts(spec.strip())
+    kind, _, rest = text.partition(":")
+    material = _parse(spec, kind.strip().lower(), rest.strip())
+    if not parts:
+        return material
+    mounting = mounting_of(spec, parts, lambda changed: _changed(material, changed))
+    if material.isotropic:
+        # Turned, it is the same.
+        mounting = replace(mounting, turn_rad=0.0)
+    return replace(material, mounting=mounting)
+
+
+def _parse(spec: str, kind: str, rest: str) -> Material:
+    if kind in TABLES:
+        return read_table_material(spec, kind, rest)
     if kind == MITSUBA_PREFIX:
         return _mitsuba(spec, rest)
-    return _closed_form(spec, kind, rest)
-
-
-def _closed_form(spec: str, kind: str, rest: str) -> ClosedFormMaterial:
-    values = {key: _numbers(spec, key, text) for key, text in _pairs(spec, rest)}
+    values = {key: numbers(spec, key, text) for key, text in pairs(spec, rest).items()}
     return closed_form_material(kind, values, spec)
+
+
+def _changed(material: Material, changed: Mapping[str, str]) -> Material:
+    """Return the material with other parameters: a pattern's second one."""
+    spec = material.spec
+    if isinstance(material, ClosedFormMaterial):
+        values = {key: numbers(spec, key, text) for key, text in changed.items()}
+        return closed_form_material(material.model, {**material.parameters, **values}, spec)
+    if isinstance(material, MitsubaMaterial):
+        options = {key: _option(spec, key, text) for key, text in changed.items()}
+        return MitsubaMaterial(spec, {**material.description, **options})
+    raise BadInput("a measured file has no parameters", where=spec, todo="leave the pattern out")
 
 
 def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str = "") -> ClosedFormMaterial:
@@ -195,15 +247,13 @@ def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str 
 
     spec = spec or _line(model, parameters)
     if model not in MODELS:
-        kinds = [*MODELS, MITSUBA_PREFIX, MEASURED_PREFIX]
-        nearest = difflib.get_close_matches(model, kinds, n=1)
-        hint = f"did you mean {nearest[0]}?" if nearest else f"known kinds: {', '.join(kinds)}"
-        raise BadInput(f"there is no material of kind {model!r}", where=spec, todo=hint)
+        kinds = [*MODELS, MITSUBA_PREFIX, *TABLES]
+        raise BadInput(
+            f"there is no material of kind {model!r}", where=spec, todo=hint(model, kinds, "known kinds")
+        )
     names = [parameter.name for parameter in MODELS[model].PARAMETERS]
     for name in parameters.keys() - set(names):
-        nearest = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {nearest[0]}?" if nearest else f"{model} has {', '.join(names)}"
-        raise BadInput(f"{model} has no parameter {name}", where=spec, todo=hint)
+        raise BadInput(f"{model} has no parameter {name}", where=spec, todo=hint(name, names, f"{model} has"))
     for name in names:
         if name not in parameters:
             raise BadInput(f"{model} needs {name}", where=spec, todo=f"give {', '.join(names)}")
@@ -229,47 +279,9 @@ def _mitsuba(spec: str, rest: str) -> MitsubaMaterial:
     if not plugin.strip():
         raise BadInput("no BSDF named", where=spec, todo="write for example mitsuba:roughconductor,alpha=0.2")
     description: dict[str, Any] = {"type": plugin.strip()}
-    for key, text in _pairs(spec, options):
+    for key, text in pairs(spec, options).items():
         description[key] = _option(spec, key, text)
     return MitsubaMaterial(spec, description)
-
-
-def _measured(spec: str, name: str) -> MitsubaMaterial:
-    path = Path(name)
-    try:
-        with path.open("rb") as file:
-            magic = file.read(len(_MEASURED_MAGIC))
-    except OSError as error:
-        reason = error.strerror or "unreadable"
-        raise BadInput(f"{reason}: {name}", where=spec, todo="give the path of a .bsdf file") from None
-    if magic != _MEASURED_MAGIC:
-        raise BadInput(f"{name} is not a measured BSDF", where=spec, todo="give a .bsdf tensor file")
-    return MitsubaMaterial(spec, {"type": "measured", "filename": str(path.resolve())})
-
-
-def _pairs(spec: str, text: str) -> list[tuple[str, str]]:
-    pairs: dict[str, str] = {}
-    for item in filter(None, (part.strip() for part in text.split(","))):
-        key, equals, value = (part.strip() for part in item.partition("="))
-        if not (key and equals and value):
-            raise BadInput(f"{item!r} is not key=value", where=spec, todo=_EXAMPLE)
-        if key in pairs:
-            raise BadInput(f"{key} is given twice", where=spec, todo="give it once")
-        pairs[key] = value
-    return list(pairs.items())
-
-
-def _numbers(spec: str, key: str, text: str) -> Value:
-    try:
-        values = tuple(float(part) for part in text.split("/"))
-    except ValueError:
-        raise BadInput(f"{key}={text} is not a number", where=spec, todo=_EXAMPLE) from None
-    if len(values) not in {1, CHANNELS}:
-        what = f"{key} has {len(values)} values"
-        raise BadInput(what, where=spec, todo="give one, or three as red/green/blue")
-    if not all(math.isfinite(value) for value in values):
-        raise BadInput(f"{key}={text} is not finite", where=spec, todo="correct the value")
-    return values[0] if len(values) == 1 else values
 
 
 def _option(spec: str, key: str, text: str) -> bool | float | str | tuple[float, ...]:
@@ -279,7 +291,7 @@ def _option(spec: str, key: str, text: str) -> bool | float | str | tuple[float,
         float(text.partition("/")[0])
     except ValueError:
         return text
-    return _numbers(spec, key, text)
+    return numbers(spec, key, text)
 
 
 def load_bsdf(mi: Any, material: Material) -> Any:
@@ -341,8 +353,8 @@ def station_materials(
     placed: dict[str, Material] = {name: fixed[kind] for name, kind in kinds.items() if kind in fixed}
     for name, spec in materials.items():
         if stations and name not in stations:
-            nearest = difflib.get_close_matches(name, stations, n=1)
-            hint = f"did you mean {nearest[0]}?" if nearest else f"it has {', '.join(stations)}"
-            raise BadInput(f"the machine has no station {name!r}", where="materials", todo=hint)
+            raise BadInput(
+                f"the machine has no station {name!r}", where="materials", todo=hint(name, stations, "it has")
+            )
         placed[name] = parse_material(spec)
     return placed

@@ -100,9 +100,7 @@ def fitted_material(model: str, parameters: Mapping[str, ArrayLike]) -> ClosedFo
 def _reflectance(material: Material, variant: str | None) -> Reflectance:
     mi = load_mitsuba(variant)
     # One call per pair is too slow for a picture where the formula is at hand.
-    if isinstance(material, ClosedFormMaterial) and (
-        mi.variant().startswith("scalar") or not material.rendered
-    ):
+    if material.has_closed_form and (mi.variant().startswith("scalar") or not material.rendered):
         return closed_form_reflectance(material)
     bsdfs.register(mi)
     return mitsuba_reflectance(mi, material)

@@ -45,7 +45,7 @@ def has_lobes(model: str, channels: Iterable[Mapping[str, float]]) -> bool:
 
 
 def register(mi: Any) -> None:
-    """Make the plugins `gonio` and `gonio-grain` known to Mitsuba's current variant; again does nothing.
+    """Make the plugins `gonio` and `gonio-placed` known to Mitsuba's current variant; again does nothing.
 
     Properties of `gonio` are `model` and, for each parameter and channel, `<parameter>_<channel>`.
 
@@ -54,11 +54,11 @@ def register(mi: Any) -> None:
     mi : module
         Mitsuba, its variant set.
     """
-    from simulator.bsdfs.grain import GRAIN, grain_bsdf
+    from simulator.bsdfs.placed import PLACED, placed_bsdf
     from simulator.bsdfs.plugin import closed_form_bsdf
 
     variant = mi.variant()
     if variant not in _registered:
         mi.register_bsdf(PLUGIN, closed_form_bsdf(mi))
-        mi.register_bsdf(GRAIN, grain_bsdf(mi))
+        mi.register_bsdf(PLACED, placed_bsdf(mi))
         _registered.add(variant)

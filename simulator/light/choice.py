@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from simulator.light.scene import Scene
 
 
+NOT_PLAIN = "it takes the sample for flat, level and alike everywhere"
+"""Why a method is not asked about a scene whose sample is not."""
+
+
 @dataclass(frozen=True)
 class Part:
     """What one method computes.
@@ -198,7 +202,10 @@ class Chooser:
     def _obstacle(self, method: Method, numbers: tuple[int, ...]) -> str | None:
         key = method, numbers
         if key not in self._obstacles:
-            self._obstacles[key] = method.obstacle(self._scene, self._union(numbers), vector=self._vector)
+            fits = self._scene.plain or method.any_sample
+            self._obstacles[key] = (
+                method.obstacle(self._scene, self._union(numbers), vector=self._vector) if fits else NOT_PLAIN
+            )
         return self._obstacles[key]
 
     def _union(self, numbers: tuple[int, ...]) -> LightPaths:

@@ -22,9 +22,8 @@ from simulator.light.direct_view import extents_of, lens_of, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
-from simulator.light.scene import Shape
 from simulator.light.sparse_rules import CENTRES, Levels, product_rule, sparse_rule
-from simulator.materials import NOT_RENDERED, ClosedFormMaterial
+from simulator.materials import NOT_RENDERED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -165,7 +164,7 @@ class DirectLight(Evaluator):
         return [self._nodes.rounding + self._nodes.step_rad * float(slope) for slope in relative]
 
 
-def _predicted_s(scene: Scene, tolerance: float, node_s: float) -> float:
+def predicted_s(scene: Scene, tolerance: float, node_s: float) -> float:
     """Predict the time of a pose from that of a node of a pixel.
 
     Most lobes need no more than four nodes in each part, and none but the centres for a coarse tolerance.
@@ -188,8 +187,8 @@ class _DirectMethod(Method):
     covers = LightPaths("LDE")
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
-        """Say why it cannot; see `Method.obstacle`."""
-        return None if scene.shape is Shape.FLAT else f"the sample is no plane but a {scene.shape}"
+        """Nothing is against it: flat samples are all that it is asked about."""
+        return None
 
 
 class DirectFloat64(_DirectMethod):
@@ -199,12 +198,12 @@ class DirectFloat64(_DirectMethod):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
-        one_by_one = not isinstance(scene.material, ClosedFormMaterial) and not vector
-        return _predicted_s(scene, tolerance, ONE_BY_ONE_S if one_by_one else FLOAT64_NODE_S)
+        one_by_one = not scene.material.has_closed_form and not vector
+        return predicted_s(scene, tolerance, ONE_BY_ONE_S if one_by_one else FLOAT64_NODE_S)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> DirectLight:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
-        if isinstance(scene.material, ClosedFormMaterial):
+        if scene.material.has_closed_form:
             reflectance = closed_form_reflectance(scene.material)
         else:
             reflectance = mitsuba_reflectance(mi, scene.material)
@@ -217,15 +216,15 @@ class DirectMitsuba(_DirectMethod):
 
     name = "direct light by quadrature through Mitsuba"
 
-    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
         if not scene.material.rendered:
             return NOT_RENDERED
-        return super().obstacle(scene, paths, vector=vector) if vector else "it needs the LLVM variant"
+        return None if vector else "it needs the LLVM variant"
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
-        return LAUNCHES_S + _predicted_s(scene, tolerance, MITSUBA_NODE_S)
+        return LAUNCHES_S + predicted_s(scene, tolerance, MITSUBA_NODE_S)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> DirectLight:  # noqa: ARG002
         """Set it to work; see `Method.build`."""

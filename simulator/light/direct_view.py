@@ -104,6 +104,8 @@ class View:
     homography : ndarray, shape (3, 3)
         Carries (x, y, 1) of the lens to (X w, Y w, w), where the ray meets the sample's plane; w > 0 where
         it does.
+    camera_rotation : ndarray, shape (3, 3)
+        Columns: right, down, forward.
     light_mm, light_axes : ndarray, shape (3,) and (2, 3)
         Centre of the lamp, and unit vectors along two radii of its disc at right angles.
     light_radius_mm : float
@@ -118,6 +120,7 @@ class View:
     """
 
     homography: Array
+    camera_rotation: Array
     light_mm: Array
     light_axes: Array
     light_radius_mm: float
@@ -133,7 +136,7 @@ class View:
 
     @property
     def numbers(self) -> Array:
-        """All of them in a row, shape (31,)."""
+        """What nodes on a flat sample need, in a row, shape (31,)."""
         parts = (self.homography, self.light_mm, self.light_disc_mm, self.facing, self.camera_mm)
         return np.concatenate(
             [part.ravel() for part in (*parts, self.pupil_disc_mm, self.strength * np.ones(1))]
@@ -159,6 +162,7 @@ def view_of(frames: Frames, extents: Extents) -> View:
     # The disc's irradiance where it is straight above is radiance pi a^2/(a^2 + d^2).
     return View(
         homography=homography,
+        camera_rotation=rotation,
         light_mm=light,
         light_axes=_disc_axes(facing),
         light_radius_mm=extents.lamp_radius_mm,

@@ -96,10 +96,14 @@ class Method(ABC):
     covers : LightPaths
         It can compute every union of a scene's path classes inside this set, where `obstacle` has nothing
         against it.
+    any_sample : bool
+        Whether it serves samples that are not flat, level and alike everywhere; by default it does not, and
+        is not asked about them.
     """
 
     name: str
     covers: LightPaths
+    any_sample: bool = False
 
     @abstractmethod
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:

@@ -9,6 +9,7 @@ from simulator.light.path_tracer import PathTracing
 from simulator.light.pixel_centres import PixelCentres
 from simulator.light.pixelwise import ClosedForm, PixelByPixel
 from simulator.light.radiosity import RadiosityMethod
+from simulator.light.surface_light import SurfaceMethod
 from simulator.light.virtual_lights import VirtualLightsMethod
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ METHODS: tuple[Method, ...] = (
     PixelByPixel(),
     DirectMitsuba(),
     DirectFloat64(),
+    SurfaceMethod(),
     VirtualLightsMethod(),
     RadiosityMethod(),
     PathTracing(),

@@ -16,15 +16,21 @@ from analysis.models import MODELS
 from analysis.models.base import Kind
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
+from simulator.bsdfs.placed import MOUNTINGS, PLACED
 from simulator.light.scene import Event
-from simulator.materials import ClosedFormMaterial, load_bsdf
+from simulator.materials import ClosedFormMaterial, MitsubaMaterial, load_bsdf
+from simulator.mounting import Form
 
 if TYPE_CHECKING:
     from rig.description import Rig
-    from simulator.light.scene import PlanarMirror
+    from simulator.light.scene import PlanarMirror, Scene
     from simulator.materials import Material
+    from simulator.mounting import Mounting
 
 Array = NDArray[np.float64]
+
+FACETS = 2048
+"""Of a cylinder: it lies within 1.2e-6 of its radius."""
 
 
 def sample_events(mi: Any, material: Material) -> frozenset[Event]:
@@ -47,11 +53,19 @@ def sample_events(mi: Any, material: Material) -> frozenset[Event]:
     BadInput
         Mitsuba refuses the material.
     """
+    events = _events(mi, material)
+    pattern = material.mounting.pattern
+    return events if pattern is None else events | _events(mi, pattern.other)
+
+
+def _events(mi: Any, material: Material) -> frozenset[Event]:
     if isinstance(material, ClosedFormMaterial):
         scales = [p.name for p in MODELS[material.model].PARAMETERS if p.kind is not Kind.SHAPE]
         if scales and not any(any(material.truth[name]) for name in scales):
             return frozenset()
         return frozenset({Event.LAMBERTIAN if material.model == "lambert" else Event.GLOSSY})
+    if not isinstance(material, MitsubaMaterial):
+        return frozenset({Event.GLOSSY})
     bsdf, events = load_bsdf(mi, material), set()
     if bsdf.flags() & mi.BSDFFlags.Smooth:
         # Of Mitsuba's own, only this one scatters the same in all directions: a coat bends a base's light.
@@ -139,6 +153,87 @@ def planar_mirror(mi: Any, mirror: PlanarMirror) -> dict[str, Any]:
         "to_world": mi.ScalarTransform4f(matrix.tolist()),
         "bsdf": {"type": "conductor", "material": "none", "specular_reflectance": reflectance},
     }
+
+
+def sample(mi: Any, scene: Scene) -> Any:
+    """Return the sample, or its description: its form, mounted, with its material on it.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, `simulator.bsdfs` registered.
+    scene : Scene
+
+    Raises
+    ------
+    BadInput
+        Mitsuba refuses the material.
+    """
+    mounting, radius_mm = scene.material.mounting, scene.sample_radius_mm
+    bsdf = _on_it(mi, scene)
+    if mounting.form is Form.CYLINDER:
+        return _tube(mi, mounting, radius_mm, bsdf)
+    placed = mounting.to_scene
+    shape = np.eye(4)
+    if mounting.form is Form.SPHERE:
+        shape[:3, :3] *= mounting.radius_mm
+        shape[2, 3] = -mounting.radius_mm
+    else:
+        shape[:2, :2] *= radius_mm
+    # What reaches beyond the sample's disc is black.
+    return {
+        "type": "disk" if mounting.form is Form.FLAT else "sphere",
+        "to_world": mi.ScalarTransform4f((placed @ shape).tolist()),
+        "bsdf": bsdf,
+    }
+
+
+def _tube(mi: Any, mounting: Mounting, radius_mm: float, bsdf: Any) -> Any:
+    """Return a cylinder of facets so narrow that they err by less than single precision.
+
+    Mitsuba's own, vectorised, meets rays 1e-3 mm beside itself, and shadows itself by a tenth.
+    """
+    turn = np.linspace(0.0, 2.0 * math.pi, FACETS, endpoint=False)
+    axis = np.array([math.cos(mounting.axis_rad), math.sin(mounting.axis_rad), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    outwards = np.outer(np.cos(turn), up) + np.outer(np.sin(turn), np.cross(up, axis))
+    ring = mounting.radius_mm * (outwards - up)
+    corners = np.concatenate([ring - radius_mm * axis, ring + radius_mm * axis])
+    corners = corners @ mounting.rotation.T + [0.0, 0.0, mounting.height_mm]
+    first = np.arange(FACETS)
+    following = np.roll(first, -1)
+    faces = np.concatenate(
+        [
+            np.stack([first, first + FACETS, following], axis=-1),
+            np.stack([following, first + FACETS, following + FACETS], axis=-1),
+        ]
+    )
+    properties = mi.Properties()
+    properties["bsdf"] = bsdf
+    mesh = mi.Mesh("sample", len(corners), len(faces), properties)
+    parameters = mi.traverse(mesh)
+    for name, numbers in (("vertex_positions", corners), ("faces", faces)):
+        kind = type(parameters[name])
+        parameters[name] = kind(numbers.ravel().tolist())
+    parameters.update()
+    return mesh
+
+
+def _on_it(mi: Any, scene: Scene) -> Any:
+    """Return the sample's BSDF, with axes, relief, edge and pattern where it needs them."""
+    bsdf, mounting = load_bsdf(mi, scene.material), scene.material.mounting
+    if isinstance(scene.material, MitsubaMaterial):
+        grained = bool(bsdf.flags() & mi.BSDFFlags.Anisotropic)
+    else:
+        grained = not scene.material.isotropic
+    if scene.plain and not grained:
+        return bsdf
+    key = repr(mounting)
+    MOUNTINGS[key] = mounting
+    description = {"type": PLACED, "of": bsdf, "mounting": key}
+    if mounting.pattern is not None:
+        description["other"] = load_bsdf(mi, mounting.pattern.other)
+    return mi.load_dict(description | {"radius": scene.sample_radius_mm})
 
 
 def camera_placed(mi: Any, camera_mm: Array, camera_rotation: Array) -> Any:

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
-from rig.pixels import pixel_geometry
-from simulator.bsdfs.grain import GRAIN
+from rig.pixels import camera_rays, pixel_geometry
 from simulator.light import mitsuba_scene
 from simulator.light.classes import SHORT, light_paths
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
-from simulator.light.scene import Event, Shape
-from simulator.materials import NOT_RENDERED, load_bsdf
+from simulator.light.sample_shapes import SampleSurface
+from simulator.light.scene import Event
+from simulator.materials import NOT_RENDERED
 from simulator.sensor import derived_seed
 
 if TYPE_CHECKING:
@@ -77,18 +77,11 @@ class PathLight(Evaluator):
         rig = scene.rig
         self._mi, self._scene_data, self._kinematics = mi, scene, Kinematics(rig)
         self._samples_per_pixel = samples_per_pixel
-        bsdf = load_bsdf(mi, scene.material)
-        if bsdf.flags() & mi.BSDFFlags.Anisotropic:
-            bsdf = mi.load_dict({"type": GRAIN, "of": bsdf})
         description: dict[str, Any] = {
             "type": "scene",
             "camera": mitsuba_scene.perspective_camera(mi, rig, samples_per_pixel),
             "lamp": mitsuba_scene.disc_lamp(mi, rig) if scene.lamp_cosine else mitsuba_scene.point_lamp(rig),
-            "sample": {
-                "type": "disk",
-                "to_world": mi.ScalarTransform4f().scale(scene.sample_radius_mm),
-                "bsdf": bsdf,
-            },
+            "sample": mitsuba_scene.sample(mi, scene),
         }
         if scene.housing is not None:
             description["housing"] = mitsuba_scene.housing(
@@ -161,6 +154,7 @@ class PathTracing(Method):
 
     name = "path tracing"
     covers = LightPaths("L(D|S)+E")
+    any_sample = True
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
@@ -168,11 +162,11 @@ class PathTracing(Method):
             return "Mitsuba's camera cannot distort as this lens does"
         if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
             return "a mirror never shows a point"
-        if not scene.material.rendered:
+        if not scene.rendered:
             return NOT_RENDERED
         if _events(scene, paths) is None:
             return "it tells paths apart by their number of events alone"
-        return None if scene.shape is Shape.FLAT else f"the sample is no plane but a {scene.shape}"
+        return None
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""
@@ -209,9 +203,18 @@ def _integrator(mi: Any, events: int) -> Any:
 
 def _inside(scene: Scene, angles_rad: Sequence[float]) -> NDArray[np.bool_]:
     """Pixels (height, width) wholly on the sample: those on its edge are noisy by their coverage alone."""
-    on = np.pad(pixel_geometry(scene.rig, angles_rad).on_sample, 1, mode="edge")
+    seen = pixel_geometry(scene.rig, angles_rad).on_sample if scene.plain else _seen(scene, angles_rad)
+    on = np.pad(seen, 1, mode="edge")
     around = [on[1:-1, 1:-1], on[:-2, 1:-1], on[2:, 1:-1], on[1:-1, :-2], on[1:-1, 2:]]
     return np.asarray(np.logical_and.reduce(around))
+
+
+def _seen(scene: Scene, angles_rad: Sequence[float]) -> NDArray[np.bool_]:
+    """Pixels (height, width) whose centres see a sample of any form."""
+    frames = Kinematics(scene.rig).frames(np.asarray(angles_rad))
+    rays = camera_rays(scene.rig) @ frames.camera_rotation.T
+    surface = SampleSurface(scene.material.mounting, scene.sample_radius_mm)
+    return surface.meet(frames.camera_mm, rays.reshape(-1, 3)).seen.reshape(rays.shape[:2])
 
 
 def _relative_error(total: Array, squares: Array, count: int, inside: NDArray[np.bool_]) -> float:

@@ -18,7 +18,7 @@ from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.finite_size import point_error
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance, mitsuba_reflectance
-from simulator.materials import NOT_RENDERED, ClosedFormMaterial
+from simulator.materials import NOT_RENDERED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -95,7 +95,7 @@ class ClosedForm(PointMethod):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
-        known = isinstance(scene.material, ClosedFormMaterial)
+        known = scene.material.has_closed_form
         return None if known else "the material has no closed form"
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002

@@ -33,7 +33,6 @@ from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event
 from simulator.light.virtual_lights import crosses_disc
 from simulator.light.walls import Walls
-from simulator.materials import ClosedFormMaterial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -389,7 +388,7 @@ class RadiosityMethod(Method):
             level.points**2 * (3 * (SIDE_PATCHES * level.wall) ** 2 + glossy * level.rings * level.turns)
             for level in levels
         )
-        one_by_one = not vector and not isinstance(scene.material, ClosedFormMaterial)
+        one_by_one = not vector and not scene.material.has_closed_form
         return nodes * (3e-6 if one_by_one else _SECONDS_PER_NODE)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Radiosity:

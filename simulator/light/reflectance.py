@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.materials import ClosedFormMaterial, load_bsdf
+from rig.errors import BadInput
+from simulator.materials import MitsubaMaterial, load_bsdf
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,15 +18,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def closed_form_reflectance(material: ClosedFormMaterial) -> Callable[[Array, Array], Array]:
-    """Return a function (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in float64, from `analysis.models`."""
-    model = material.closed_form()
+def closed_form_reflectance(material: Material) -> Callable[[Array, Array], Array]:
+    """Return a function (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in float64 of a material that has one.
 
-    def evaluate(wi: Array, wo: Array) -> Array:
-        values = model.evaluate(wi, wo)
-        return np.broadcast_to(values, (*values.shape[:-1], 3))
-
-    return evaluate
+    Raises
+    ------
+    BadInput
+        It has none: only Mitsuba knows it.
+    """
+    if isinstance(material, MitsubaMaterial):
+        raise BadInput("it has no closed form", where=material.spec, todo="ask Mitsuba")
+    return material.reflectance()
 
 
 def material_reflectance(mi: Any, material: Material) -> Callable[[Array, Array], Array]:
@@ -43,7 +46,7 @@ def material_reflectance(mi: Any, material: Material) -> Callable[[Array, Array]
     BadInput
         Mitsuba refuses the material.
     """
-    if isinstance(material, ClosedFormMaterial):
+    if material.has_closed_form:
         return closed_form_reflectance(material)
     return mitsuba_reflectance(mi, material)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.angles import unit
 from rig.errors import BadInput
+from simulator.mounting import PLAIN
 
 if TYPE_CHECKING:
     from rig.description import Rig
@@ -35,12 +36,6 @@ class Event(StrEnum):
     LAMBERTIAN = "Dl"
     GLOSSY = "Dg"
     MIRROR = "S"
-
-
-class Shape(StrEnum):
-    """How the sample is shaped."""
-
-    FLAT = "flat"
 
 
 @dataclass(frozen=True)
@@ -130,15 +125,13 @@ class Scene:
     rig : Rig
         Lamp, camera, sample size, and how poses move them.
     material : Material
-        What the sample is made of.
+        What the sample is made of, and how it is made and mounted.
     events : frozenset of Event
         What the sample can do to light: empty for black; `mitsuba_scene.sample_events` finds it.
     housing : Housing, optional
         By default the surroundings are black.
     mirrors : tuple of PlanarMirror
         They do not move with any joint.
-    shape : Shape
-        The sample's.
     lamp_cosine : bool
         Whether the lamp shines as a flat disc does, with the cosine of the angle from its axis, and not
         backwards; otherwise it shines evenly in all directions.
@@ -149,8 +142,18 @@ class Scene:
     events: frozenset[Event]
     housing: Housing | None = None
     mirrors: tuple[PlanarMirror, ...] = ()
-    shape: Shape = Shape.FLAT
     lamp_cosine: bool = True
+
+    @property
+    def plain(self) -> bool:
+        """Whether the sample is flat, level and alike everywhere."""
+        return self.material.mounting == PLAIN
+
+    @property
+    def rendered(self) -> bool:
+        """Whether Mitsuba can be given all that the sample is made of."""
+        pattern = self.material.mounting.pattern
+        return self.material.rendered and (pattern is None or pattern.other.rendered)
 
     @property
     def lamp_intensity(self) -> float:

@@ -52,7 +52,8 @@ class Shares:
         self._scene, self._reflectance = scene, reflectance
         self.classes: tuple[PathClass, ...] = path_classes(scene)
         self._kinematics = Kinematics(scene.rig)
-        if len(self.classes) > 1:
+        self._unbounded = len(self.classes) < 2 or not scene.plain
+        if not self._unbounded:
             self._surroundings = Surroundings(scene, *self._over_all_directions())
             self._before_longer = () if self.classes[-1].walks else tuple(walks(scene, SHORT))
 
@@ -67,9 +68,10 @@ class Shares:
         Returns
         -------
         tuple of float
-            In the order of `classes`; between 0 and 1, and 1 where no bound is known.
+            In the order of `classes`; between 0 and 1, and 1 where no bound is known, as for samples that are
+            not flat, level and alike everywhere.
         """
-        if len(self.classes) < 2:
+        if self._unbounded:
             return (1.0,) * len(self.classes)
         pose = _Pose.look(self._scene, self._kinematics, self._reflectance, angles_rad)
         if pose is None:

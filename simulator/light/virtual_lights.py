@@ -28,7 +28,6 @@ from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event, PlanarMirror, Scene
-from simulator.materials import ClosedFormMaterial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -310,7 +309,7 @@ class VirtualLightsMethod(Method):
         fineness = 2 if tolerance >= 1e-2 else FINEST // 2
         lamps = len(virtual_lamps(scene, paths))
         nodes = fineness**2 * (4 * fineness**2 if scene.lamp_cosine else 1)
-        one_by_one = not vector and not isinstance(scene.material, ClosedFormMaterial)
+        one_by_one = not vector and not scene.material.has_closed_form
         pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
         return lamps * nodes * pixels * (3e-6 if one_by_one else _SECONDS_PER_NODE)
 
