@@ -55,9 +55,9 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         "`measured` beside the original. From samples: the table is made again from random pairs "
         "of directions. Off the peak means f_r cos(theta_o) below half of its channel's largest, "
         "lights and views within 66 deg; errors are relative, the median over directions and "
-        "channels, and the target holds for 200,000 samples. With 50,000 a table of flakes is not"
-        " known better than the rows without a table say: its nodes differ from their neighbours "
-        "by its texture, and the samples are as far apart as the nodes.",
+        "channels. How many samples that takes is told by what their interpolation misses without "
+        "a table: flakes change from node to node (their texture), and 50,000 samples lie as far "
+        "apart as the nodes.",
         (
             "rgl.png",
             "Errors of tables made from scattered samples",

@@ -21,22 +21,23 @@ WIDTH_IN, HEIGHT_IN = 7.2, 3.4
 DOTS_PER_INCH = 110
 
 
-def draw_errors(path: Path, errors: Mapping[str, Mapping[int, Array]], target_percent: float) -> None:
-    """Draw the distribution of relative errors, in percent, by table and number of samples."""
+def draw_errors(
+    path: Path, errors: Mapping[str, Mapping[str, Array]], samples: int, target_percent: float
+) -> None:
+    """Draw the distribution of relative errors, in percent, by table and Mitsuba's variant."""
     with figure(WIDTH_IN, HEIGHT_IN) as drawn:
         axes = drawn.subplots()
-        for colour, (name, by_count) in zip(SERIES, errors.items(), strict=False):
-            for style, (count, error) in zip(("--", "-"), sorted(by_count.items()), strict=False):
+        for colour, (name, by_variant) in zip(SERIES, errors.items(), strict=False):
+            for style, (variant, error) in zip(("-", ":"), by_variant.items(), strict=False):
                 share = (np.arange(len(error)) + 0.5) / len(error)
-                label = f"{name}, {count // 1000},000 samples"
-                axes.plot(np.sort(error), 100.0 * share, style, color=colour, label=label)
+                axes.plot(np.sort(error), 100.0 * share, style, color=colour, label=f"{name}, {variant}")
         axes.axvline(target_percent, color=ACCENT, lw=0.8)
         axes.axhline(50.0, color=FAINT, lw=0.8)
         axes.set(xscale="log", xlim=(0.01, 30.0), ylim=(0.0, 100.0))
         axes.set_xlabel("relative error off the peak, %")
         axes.set_ylabel("directions with less, %")
         axes.set_title(
-            "Tables from scattered samples, evaluated by Mitsuba; the median is to lie left of the line"
+            f"Tables from {samples:,} scattered samples by Mitsuba; the median is to lie left of the line"
         )
         axes.legend(loc="upper left", fontsize=7.5)
         _save(drawn, path)

@@ -222,7 +222,7 @@ def places(wi: Array, wo: Array) -> Array:
     Returns
     -------
     ndarray, shape (N, 3)
-        The half vector on a disc of radius sqrt(2 theta_h / pi), azimuth from the light's; theta_i in radians.
+        Half vector on a disc of radius sqrt(2 theta_h / pi), azimuth from the light's; theta_i in radians.
     """
     theta_i, phi_i = direction_to_spherical(wi)
     theta_h, phi_h = direction_to_spherical(half_vector(wi, wo))
