@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import argparse
 
-NAMES = ("blank", "material", "as_published", "side", "no_cosine")
+NAMES = ("blank", "floor_shift", "material", "as_published", "side", "no_cosine")
 """As the readers call them; a format that does not know one refuses it."""
 
 
@@ -16,6 +16,11 @@ def add_format_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("formats")
     group.add_argument(
         "--blank", metavar="FILE", help="RT-300S: the measurement without a sample, subtracted"
+    )
+    group.add_argument(
+        "--floor-shift",
+        action="store_true",
+        help="RT-300S: shift the smallest reading to 0, as some published tables did",
     )
     group.add_argument("--material", metavar="NAME", help="in-plane tables: which of several materials")
     group.add_argument(

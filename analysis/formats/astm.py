@@ -35,6 +35,7 @@ OPEN_END = True
 ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 REQUIRED = ("theta_i", "theta_s", "phi_s")
 _VARS = re.compile(rb"^[ \t]*VARS[ \t]+[^\r\n]*theta_i", re.MULTILINE)
+_ROW = re.compile(r"\s*[-+]?\d*[.,]?\d+(?:[eE][-+]?\d+)?\s*[,;\t]")
 _WAVELENGTH = re.compile(r"\A(\d+(?:\.\d+)?) ?nm\Z")
 
 
@@ -111,6 +112,8 @@ def _header(lines: list[str], path: Path) -> tuple[int, str, int | None]:
             announced = int(stated)
         elif key == "VARS":
             return index + 1, value, announced
+        elif _ROW.match(text):
+            raise BadInput("a row stands before VARS", where=where, todo="put VARS before all rows")
     raise BadInput("has no line VARS", where=f"{path}: line {len(lines)}", todo="copy the file again")
 
 

@@ -114,15 +114,14 @@ def _out_of_order(rows: Rows, table: Array) -> str:
     """Say where directions begin anew without an incidence, or run on across one; elsewhere they ascend."""
     scatter = rows.widths == len(COLUMNS)
     place, block = rows.places[scatter], np.cumsum(~scatter)[scatter]
-    same, size = np.diff(block) == 0, np.bincount(block)
-    long = np.minimum(size[block[:-1]], size[block[1:]]) > 1
+    same = np.diff(block) == 0
     for slow, fast in ((2, 3), (3, 2)):
         step, within = np.diff(table[:, slow]), np.diff(table[:, fast])
         ascends = (step > 0.0) | ((step == 0.0) & (within > 0.0))
-        anew, on = np.flatnonzero(same & ~ascends), np.flatnonzero(~same & ascends & long)
+        anew, on = np.flatnonzero(same & ~ascends), np.flatnonzero(~same & ascends)
         if len(anew) == 1 and block[-1] > 1:
             return f"directions begin anew at line {place[anew[0] + 1]} without an incidence"
-        if not len(anew) and len(on) == 1:
+        if same.any() and not len(anew) and len(on) == 1:
             return f"the incidence before line {place[on[0] + 1]} does not begin its directions anew"
     return ""
 

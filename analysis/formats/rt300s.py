@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.doubts import ATTRIBUTE
 from analysis.samples import UNITS
 from rig.errors import BadInput
 
@@ -36,6 +37,7 @@ MAGIC = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 ROWS = ("Incidence", "Azimuth", "Receive", "RT")
 LARGEST_BYTES = 128 * 1024**2
 LABELS_WITHIN = 64
+SHIFTED = "the smallest reading was shifted to 0: all dark values are too high"
 RECIPE = "rt300s"
 """The chain that readings go through, but for the average of files."""
 # What xlrd raises for files that are cut or changed; its own classes are added when it is imported.
@@ -85,7 +87,8 @@ def read(path: Path, *, blank: str | Path | None = None, floor_shift: bool = Fal
     """
     source = path.name if blank is None else f"{path.name} less {Path(blank).name}"
     empty = None if blank is None else as_readings(Path(blank))
-    return reduced(as_readings(path), source, blank=empty, floor_shift=floor_shift)
+    samples = reduced(as_readings(path), source, blank=empty, floor_shift=floor_shift)
+    return samples.assign_attrs({ATTRIBUTE: SHIFTED}) if floor_shift else samples
 
 
 def reduced(

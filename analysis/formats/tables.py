@@ -151,15 +151,21 @@ def numbers_of_rows(lines: Lines, layout: Layout, path: Path) -> Rows:
     for start in range(0, len(lines.texts), CHUNK):
         texts, places = lines.texts[start : start + CHUNK], lines.places[start : start + CHUNK]
         rows = [layout.split(text, line) for text, line in zip(texts, places, strict=True)]
-        sizes = list(map(len, rows))
-        if not set(sizes) <= layout.columns.keys():
-            raise _wrong_width(sizes, places, layout, path)
+        wrong = next((place for place, row in enumerate(rows) if len(row) not in layout.columns), None)
+        cells = 0 if wrong is None else len(rows[wrong])
+        rows = rows[:wrong]
         if layout.label is not None:
             labels += [row.pop(layout.label).strip() for row in rows]
         if layout.decimal_comma:
             rows, mark = _with_points(rows, places, mark, path)
         values = bulk(list(chain.from_iterable(rows)))
         numbers.append(_one_by_one(rows, places, layout, path) if values is None else values)
+        if wrong is not None:
+            raise BadInput(
+                f"has {cells} {layout.what}, {layout.expected}",
+                where=f"{path}: line {places[wrong]}",
+                todo=layout.todo,
+            )
         widths += map(len, rows)
     return Rows(
         np.concatenate(numbers) if numbers else np.empty(0),
@@ -197,15 +203,6 @@ def require_once(directions: Array, places: Indices, path: Path) -> None:
         )
 
 
-def _wrong_width(sizes: Sequence[int], places: Sequence[int], layout: Layout, path: Path) -> BadInput:
-    size, line = next(
-        (size, line) for size, line in zip(sizes, places, strict=True) if size not in layout.columns
-    )
-    return BadInput(
-        f"has {size} {layout.what}, {layout.expected}", where=f"{path}: line {line}", todo=layout.todo
-    )
-
-
 def _one_by_one(rows: list[list[str]], places: Sequence[int], layout: Layout, path: Path) -> Array:
     """Convert rows with the care that names the place of an error."""
     names = {size: list(columns) for size, columns in layout.columns.items()}
@@ -213,7 +210,7 @@ def _one_by_one(rows: list[list[str]], places: Sequence[int], layout: Layout, pa
         names = {size - 1: columns for size, columns in names.items() if columns.pop(layout.label)}
     found = [
         number(cell.strip(), where=f"{path}: line {line}, column {name}")
-        for cells, line in zip(rows, places, strict=True)
+        for cells, line in zip(rows, places, strict=False)
         for cell, name in zip(cells, names[len(cells)], strict=True)
     ]
     return np.array(found)
@@ -227,7 +224,7 @@ def _with_points(
     marks = {mark, *(sign for sign in ",." if sign in text)} - {""}
     if "," not in marks:
         return rows, "".join(marks)
-    bare = next((line for row, line in zip(rows, places, strict=True) if _comma_at_an_end(row)), None)
+    bare = next((line for row, line in zip(rows, places, strict=False) if _comma_at_an_end(row)), None)
     if bare is not None:
         raise BadInput(
             "a comma without digits on both sides", where=f"{path}: line {bare}", todo="complete the number"
@@ -249,7 +246,7 @@ def _comma_at_an_end(cells: list[str]) -> bool:
 
 def _first_other(rows: list[list[str]], places: Sequence[int], mark: str) -> int:
     """Return the first line whose decimals are marked otherwise than in what stands before it."""
-    for cells, line in zip(rows, places, strict=True):
+    for cells, line in zip(rows, places, strict=False):
         signs = {sign for sign in ",." if any(sign in cell for cell in cells)}
         if len(signs | {mark} - {""}) > 1:
             return line

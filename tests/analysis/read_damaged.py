@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import resource
 import sys
 import time
 from pathlib import Path
@@ -31,14 +32,13 @@ def main() -> None:
     for line in sys.stdin:
         started = time.process_time()
         answer = outcome(Path(line.rstrip("\n")))
-        sys.stdout.write(json.dumps([*answer, time.process_time() - started]) + "\n")
+        seconds, peak_kb = time.process_time() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        sys.stdout.write(json.dumps([*answer, seconds, peak_kb / 1024]) + "\n")
         sys.stdout.flush()
 
 
 def limit_memory() -> None:
     """Allow `ROOM` more than is taken now, where the system can."""
-    import resource
-
     import h5netcdf  # noqa: F401
     import xarray  # noqa: F401
     import xlrd  # noqa: F401

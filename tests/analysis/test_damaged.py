@@ -70,7 +70,7 @@ class Reader:
         self._lines: queue.Queue[str] = queue.Queue()
 
     def __call__(self, path: Path) -> list:
-        """Return outcome, complaint or doubts, digests of rows, and seconds of computing."""
+        """Return outcome, complaint or doubts, digests of rows, seconds of computing, and the most MB."""
         process = self._started()
         process.stdin.write(f"{path}\n")
         process.stdin.flush()
@@ -82,7 +82,7 @@ class Reader:
             return json.loads(line)
         hangs = process.poll() is None
         self.stop()
-        return ["failed", "hangs" if hangs else f"the process died ({process.returncode})", [], 0.0]
+        return ["failed", "hangs" if hangs else f"the process died ({process.returncode})", [], 0.0, 0.0]
 
     def stop(self) -> None:
         """End the process."""
@@ -133,7 +133,7 @@ def whole(tmp_path_factory) -> dict[str, Whole]:
 
 def complaint_of(file: Whole, damage: Damage, content: bytes, whole: list, answer: list) -> str:
     """Say what is wrong with an answer; empty where it is right."""
-    outcome, text, rows, _ = answer
+    outcome, text, rows = answer[:3]
     if outcome == "failed" or "\n" in text:
         return text
     if outcome == "refused":

@@ -142,3 +142,54 @@ def test_damaged(save, content, complaint):
         read(path, **material)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+BANDS = "theta_i_deg,wavelength_nm,theta_o_deg,material,f_r\n" + "".join(
+    f"{i},{nm},{o},{material},0.{i}{o}{nm}\n"
+    for material in ("lacquer", "felt")
+    for nm in (633, 450)
+    for i in (10, 20)
+    for o in (15, 40)
+)
+
+
+def test_a_column_of_wavelengths_becomes_bands(save):
+    """Catches wavelengths taken for other samples, values under another band, and another material's rows."""
+    samples = read(save(BANDS), material="felt")
+    assert samples["wavelength_nm"].to_numpy().tolist() == [450.0, 633.0]
+    assert samples["f_r"].to_numpy()[:2].tolist() == [[0.1015450, 0.1015633], [0.1040450, 0.1040633]]
+    assert samples.sizes["sample"] == 4
+    lines = BANDS.splitlines()
+    mixed = read(save("\n".join([lines[0], *lines[:0:-1]])), material="felt")
+    np.testing.assert_array_equal(mixed["f_r"][::-1], samples["f_r"])
+    np.testing.assert_array_equal(mixed["wo"][::-1], samples["wo"])
+    micrometres = BANDS.replace("wavelength_nm", "Wavelength [um]").replace(",633,", ",0.633,")
+    converted = read(save(micrometres.replace(",450,", ",0.450,")), material="felt")
+    np.testing.assert_allclose(converted["wavelength_nm"], [450.0, 633.0])
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (BANDS.replace("20,450,40,felt,0.2040450\n", ""), "line 13: its direction has 1 of 2 wavelengths"),
+        (BANDS + "20,450,40,felt,0.3\n", "line 18: gives a direction a second time at 450 nm"),
+        (
+            BANDS.replace("10,633,15,felt", "10,0,15,felt"),
+            "line 10, column wavelength: 0 nm is no wavelength",
+        ),
+        (
+            BANDS.replace("10,633,15,felt", "10,x,15,felt"),
+            "line 10, column wavelength_nm: 'x' is not a number",
+        ),
+    ],
+)
+def test_bands_that_are_not_whole(save, content, complaint):
+    """Catches holes that are filled in silence, and errors that do not name the line."""
+    with pytest.raises(BadInput, match=complaint):
+        read(save(content), material="felt")
+
+
+def test_a_zenith_that_is_not_understood_is_refused(save):
+    """Catches a damaged comment that exchanges zenith and azimuth in silence."""
+    with pytest.raises(BadInput, match="line 5: its comments speak of a zenith"):
+        read(save(CHASSIS.replace("are the zenith", "arethe zenith")))

@@ -14,6 +14,13 @@ PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
 MODULES = {name: importlib.import_module(f"analysis.formats.{name}") for name in NAMES}
 
 
+def test_commands_offer_every_option():
+    """Catches an option of a format that no command knows, and one that no format understands."""
+    from gonio.format_options import NAMES as OFFERED
+
+    assert sorted(OFFERED) == sorted({option for module in MODULES.values() for option in module.OPTIONS})
+
+
 def _claimed_by(path):
     with path.open("rb") as stream:
         head = clean_head(stream.read(HEAD_BYTES))
