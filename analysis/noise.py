@@ -67,7 +67,9 @@ def noise_variance(
     size = np.maximum(terms.max(axis=2), LEAST)
     share = _shares(square[rows].T, terms / size[..., None], used[rows].T, robust=robust) / size
     flat, constant, photons, signal = share.T
-    return np.asarray(flat + np.square(slope) * (constant + bright * (photons + bright * signal)))
+    variance = flat + np.square(slope) * (constant + bright * (photons + bright * signal))
+    # Where a model is black, noise in proportion to it would be none.
+    return np.maximum(variance, LEAST * (ones[: len(rows)] @ square[rows]) / len(rows))
 
 
 def _terms(bright: Array, slope: Array) -> Array:

@@ -78,6 +78,17 @@ def test_the_law_of_the_noise_is_found(kind, robust):
     np.testing.assert_allclose(np.median(found / sigma), 1.0, atol=0.15 if robust else 0.08)
 
 
+def test_a_black_model_leaves_some_noise():
+    """Catches a division by nothing where a model predicts no light at all and noise grows with the light."""
+    random = np.random.default_rng(3)
+    f = np.exp(random.uniform(np.log(0.05), np.log(50.0), (5000, 1)))
+    f[7] = 1e-200
+    square = np.square(0.05 * f * random.standard_normal(f.shape))
+    square[7] = 1e-4
+    found = noise_variance(square, f, np.ones_like(f), np.ones(f.shape, dtype=bool))
+    assert np.all(np.isfinite(square / found))
+
+
 def test_noise_that_no_law_of_brightness_describes_widens_u():
     """Catches a law that is believed against the residuals: here noise comes with the azimuth, not with f."""
     random = np.random.default_rng(2)
