@@ -38,6 +38,8 @@ KNOWN = 0.1
 """RMS about the lobes below which no reading is better for it: no surface follows formulas so far."""
 TYPICAL = 0.2
 """Deviation from the lobes beyond which Cauchy's measure grows but slowly."""
+USUAL_SHARE, LARGEST = 0.68, 2.5
+"""Share of samples whose deviation from the lobes is usual; what multiple of it the process sees at most."""
 NARROWEST = np.radians(5.0)
 """Angle between half vector and normal below which lengths shrink with the angle no further."""
 
@@ -56,7 +58,7 @@ class Evidence:
         How far ln f is from the lobes alone, as the mean of two measures: one that the largest deviations
         rule, and Cauchy's, which the many rule. A few samples at a peak do not decide, nor do all others.
     noise_rms : float
-        RMS of what is neither lobe nor smooth, reciprocal and symmetric.
+        RMS of what is neither lobe nor smooth, reciprocal and symmetric, but for the largest deviations.
     """
 
     total: float
@@ -105,12 +107,20 @@ class Directions:
             Whether the mixture of lobes is found, or but the best single one, which is quicker.
         """
         residual = self._lobes.residual(np.log(f_r), mixture=mixture)
-        total, left = max(_marginal(process, self._root * residual) for process in self._processes)
+        bounded = self._bounded(residual)
+        total, left = max(_marginal(process, self._root * bounded) for process in self._processes)
         share = self._lobes.share
         rms = float(np.sqrt(share @ np.square(residual)))
         robust = float(share @ np.log(np.hypot(residual, TYPICAL)))
         noise = float(np.sqrt(left / np.square(self._root).sum()))
         return Evidence(total, rms, 0.5 * (float(np.log(np.hypot(rms, KNOWN))) + robust), noise)
+
+    def _bounded(self, residual: Array) -> Array:
+        """Return residuals (N,), the largest cut: the process is normal, and flakes and mirrors are not."""
+        size = np.abs(residual)
+        order = np.argsort(size)
+        typical = size[order[np.searchsorted(np.cumsum(self._lobes.share[order]), USUAL_SHARE)]]
+        return np.clip(residual, -LARGEST * typical, LARGEST * typical)
 
 
 def half_angle_features(wi: Array, wo: Array) -> Array:

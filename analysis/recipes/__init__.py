@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from analysis.formats.doubts import ATTRIBUTE
 from analysis.recipes.readings import joined, read_readings, to_samples
 from analysis.recipes.recipe import Recipe, load
 from analysis.recipes.steps import Given
@@ -27,7 +28,8 @@ class Reduced(NamedTuple):
     Attributes
     ----------
     samples : xarray.Dataset
-        Its attributes `recipe`, `recipe_source`, `recipe_files` and `recipe_steps` say how.
+        Its attributes `recipe`, `recipe_source`, `recipe_files` and `recipe_steps` say how, `doubts` why a
+        file may be cut short or damaged.
     repeatability : Repeatability or None
         Where several files were averaged.
     notes : tuple of str
@@ -85,4 +87,8 @@ def reduce_files(
         "recipe_files": ", ".join(named) + subtracted,
         "recipe_steps": "; ".join(chosen.history()),
     }
+    read = [*zip(named, parts, strict=True), *([(Path(blank).name, empty)] if blank and empty else [])]
+    found = [f"{name}: {part.doubts}" for name, part in read if part.doubts]
+    if found:
+        samples.attrs[ATTRIBUTE] = "; ".join(found)
     return Reduced(samples, done.repeatability, done.notes)

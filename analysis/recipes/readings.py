@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.formats.doubts import ATTRIBUTE
 from analysis.samples import make_samples
 from analysis.samples import read as read_samples
 from analysis.uncertainty import quadrature
@@ -88,6 +89,8 @@ class Readings:
         Found where files of one sample were averaged.
     notes : tuple of str
         What the steps have to tell the person.
+    doubts : str
+        Why the file may be cut short or damaged, where its reader saw signs of it.
     """
 
     theta_i: Array
@@ -109,6 +112,7 @@ class Readings:
     u_sideways_rad: float = 0.0
     repeatability: Repeatability | None = None
     notes: tuple[str, ...] = ()
+    doubts: str = ""
 
     def __len__(self) -> int:
         return len(self.value)
@@ -238,7 +242,7 @@ def read_readings(path: Path, *, only: str = "", **options: Any) -> Readings:
     u_all = samples["u_f_r"].to_numpy() if "u_f_r" in samples else np.zeros(value.shape)
     u_common = samples["u_reference"].to_numpy() if "u_reference" in samples else np.zeros(value.shape)
     known = samples.coords.get("wavelength_nm")
-    return make_readings(
+    made = make_readings(
         (
             *direction_to_spherical(samples["wi"].to_numpy()),
             *direction_to_spherical(samples["wo"].to_numpy()),
@@ -251,6 +255,7 @@ def read_readings(path: Path, *, only: str = "", **options: Any) -> Readings:
         wavelength_nm=None if known is None else [float(w) for w in known.to_numpy()],
         name=path.name,
     )
+    return replace(made, doubts=str(samples.attrs.get(ATTRIBUTE, "")))
 
 
 def joined(parts: Sequence[Readings]) -> Readings:

@@ -14,7 +14,7 @@ averages them, their repeatability is told, and no uncertainty is stated below i
   mwir-published the published formula of the mid-infrared tables, with the cosine that should not be there
 
 The JSON object: session, out, poses, samples, channels, dropped: {reason: values}, pixels: {flag: pixels};
-with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability, notes, loss
+with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability, notes, loss, doubts
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import Progress, add_json_option, print_json, say
+from gonio.output import Progress, add_json_option, caution, print_json, say
 from gonio.overwriting import add_drop_option, keep_rejections, require_place
 from rig.errors import BadInput
 
@@ -107,6 +107,7 @@ def _by_recipe(options: argparse.Namespace) -> int:
     require_place(out, options)
     recipe = load(options.recipe)
     reduced = reduce_files(options.inputs, recipe, blank=options.blank, material=options.material)
+    doubts = caution(options.recipe, reduced.samples.attrs)
     samples = keep_rejections(reduced.samples, out, options)
     loss = write(samples, out)
     flagged = int((samples["flags"].to_numpy() != 0).sum())
@@ -121,6 +122,7 @@ def _by_recipe(options: argparse.Namespace) -> int:
         "repeatability": _described(reduced.repeatability),
         "notes": list(reduced.notes),
         "loss": str(loss),
+        "doubts": doubts,
     }
     if options.json:
         print_json(result)

@@ -126,3 +126,25 @@ def test_emissivity_of_values_that_no_isotropic_surface_has_is_refused(shared_da
     options = ["--material", "Kupfer", "--emissivity", str(folder / "emissivity.csv")]
     assert cli.main(["check", str(folder / "radiance.csv"), *options]) == 0
     assert "refused: an isotropic surface with these values would reflect" in capsys.readouterr().out
+
+
+def test_undecided_conventions_say_what_would_decide(tmp_path, capsys):
+    """Catches a person left alone with readings that the samples do not tell apart, or with a torn file."""
+    path = tmp_path / "plane.csv"
+    theta = np.radians(np.linspace(2.0, 80.0, 60))
+    wi, wo = spherical_to_direction(np.full(60, 0.5), np.pi), spherical_to_direction(theta, 0.0)
+    noise = np.exp(0.05 * np.random.default_rng(0).standard_normal((60, 1)))
+    write(make_samples(wi, wo, 0.2 / np.pi * noise), path)
+    path.write_text(path.read_text().rstrip("\n"))
+    assert cli.main(["check", str(path), "--conventions"]) == 0
+    said = capsys.readouterr()
+    assert "does not decide" in said.out
+    assert "to decide, measure in the same way: a white reference" in said.out
+    assert "nothing was changed" in said.out
+    assert "caution" in said.err
+    assert "no end" in said.err
+    out = tmp_path / "read.nc"
+    assert cli.main(["check", str(path), "--reading", "cosine-of-view", "--out", str(out), "--json"]) == 0
+    said = capsys.readouterr()
+    assert "no end" in json.loads(said.out)["doubts"]
+    assert "no end" in read(out).attrs["doubts"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
+from analysis.samples import read
+from gonio import cli
 from gonio.commands import reduce
 from rig.errors import BadInput
 
@@ -66,3 +69,17 @@ def test_help_shows_an_example_and_loads_nothing_heavy(command: str) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert f"gonio {command}" in done.stdout.split("example:")[1]
+
+
+def test_a_recipe_tells_doubts_of_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a torn table that a recipe reduces without a word, or whose samples forget it."""
+    table = tmp_path / "plane.csv"
+    rows = "".join(f"30,{view},0.{view + 10}\n" for view in range(10, 60, 5))
+    table.write_text("theta_i_deg,theta_o_deg,radiance_L_o\n" + rows.rstrip("\n"))
+    out = tmp_path / "samples.nc"
+    arguments = ["reduce", str(table), "--recipe", "mwir-published", "--out", str(out), "--json"]
+    assert cli.main(arguments) == 0
+    said = capsys.readouterr()
+    assert "caution" in said.err
+    assert "plane.csv: the last line has no end" in json.loads(said.out)["doubts"]
+    assert "no end" in read(out).attrs["doubts"]
