@@ -109,6 +109,10 @@ class Lamp(Part):
         description="share by which the photodiode may differ from the level, above 0 to 1; "
         "a frame with less or more light does not count",
     )
+    spectrum: str = Field(
+        "",
+        description="table of its relative power over nm, a file or colour:NAME, for the twin; empty: even",
+    )
 
 
 class Camera(Part):
@@ -144,6 +148,9 @@ class Camera(Part):
     )
     exposure_steps_per_stop: int = Field(
         3, ge=1, le=1000, description="exposure times per factor of two, 1 to 1000"
+    )
+    sensitivity: str = Field(
+        "", description="table of R, G, B over nm, a file or colour:NAME, for the twin; empty: even"
     )
 
 

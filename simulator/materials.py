@@ -2,6 +2,7 @@
 
 lambert:kd=0.5                                     a model of `analysis.models`
 cook-torrance:kd=0.1/0.2/0.3,ks=0.5,m=0.2,ior=1.5  slashes separate red, green and blue
+lambert:kd=paint.csv                               a table over wavelength; see `simulator.spectra`
 mitsuba:roughconductor,alpha=0.2,material=Au       any BSDF of Mitsuba by its name
 bsdf:paint.bsdf                                    a measured BSDF file (Dupuy & Jakob 2018)
 merl:gold-metallic-paint.binary                    a measured file of MERL's (Matusik et al. 2003)
@@ -19,9 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.errors import BadInput
+from simulator.bands import BandedMaterial, SpectralMaterial
 from simulator.bsdfs import PLUGIN, has_lobes
 from simulator.line_words import CHANNELS, Value, hint, numbers, pairs
 from simulator.mounting import PLAIN, Mounting, mounting_of, split_parts
+from simulator.spectra import LIBRARY, SUFFIXES, read_spectrum
 from simulator.tables import TABLES, TableMaterial, read_table_material
 
 if TYPE_CHECKING:
@@ -158,7 +161,7 @@ class MitsubaMaterial:
         }
 
 
-Material = ClosedFormMaterial | MitsubaMaterial | TableMaterial
+Material = ClosedFormMaterial | MitsubaMaterial | TableMaterial | SpectralMaterial | BandedMaterial
 
 
 def _flat(truth: Mapping[str, list[float]]) -> dict[str, float]:
@@ -210,8 +213,17 @@ def _parse(spec: str, kind: str, rest: str) -> Material:
         return read_table_material(spec, kind, rest)
     if kind == MITSUBA_PREFIX:
         return _mitsuba(spec, rest)
-    values = {key: numbers(spec, key, text) for key, text in pairs(spec, rest).items()}
-    return closed_form_material(kind, values, spec)
+    given = pairs(spec, rest)
+    tables = {key: text for key, text in given.items() if text.endswith(SUFFIXES) or text.startswith(LIBRARY)}
+    values = {key: numbers(spec, key, text) for key, text in given.items() if key not in tables}
+    if not tables:
+        return closed_form_material(kind, values, spec)
+    spectra = {key: read_spectrum(text) for key, text in tables.items()}
+    material = SpectralMaterial(spec, kind, {**values, **spectra})
+    for node in np.unique(np.concatenate([spectrum.wavelength_nm for spectrum in spectra.values()])):
+        # Every wavelength has to be possible.
+        closed_form_material(kind, material.at(float(node)), spec)
+    return material
 
 
 def _changed(material: Material, changed: Mapping[str, str]) -> Material:
@@ -223,7 +235,8 @@ def _changed(material: Material, changed: Mapping[str, str]) -> Material:
     if isinstance(material, MitsubaMaterial):
         options = {key: _option(spec, key, text) for key, text in changed.items()}
         return MitsubaMaterial(spec, {**material.description, **options})
-    raise BadInput("a measured file has no parameters", where=spec, todo="leave the pattern out")
+    what = "only a material whose parameters are numbers can have a pattern"
+    raise BadInput(what, where=spec, todo="leave the pattern out")
 
 
 def closed_form_material(model: str, parameters: Mapping[str, Value], spec: str = "") -> ClosedFormMaterial:

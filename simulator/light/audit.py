@@ -13,6 +13,7 @@ import numpy as np
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator import bsdfs
+from simulator.bands import seen_through
 from simulator.light.choice import Chooser
 from simulator.light.classes import light_paths
 from simulator.light.methods import METHODS
@@ -57,7 +58,7 @@ def audit_scene(
     """
     mi = load_mitsuba(variant)
     bsdfs.register(mi)
-    lies = parse_material(material)
+    lies = seen_through(rig, parse_material(material), 1e-4)
     return mi, Scene(rig, lies, sample_events(mi, lies), default_housing(rig, housing_albedo))
 
 

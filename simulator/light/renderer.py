@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator import bsdfs
+from simulator.bands import seen_through
 from simulator.light.choice import Chooser
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
@@ -78,9 +79,12 @@ class Renderer:
         bsdfs.register(self._mi)
         housing = default_housing(rig, housing_albedo)
         # Every material is looked at now: a mistake must not wait for the wheel.
+        seen = {
+            name: seen_through(rig, material, 0.1 * tolerance) for name, material in self.materials.items()
+        }
         self._scenes = {
             name: Scene(rig, material, sample_events(self._mi, material), housing)
-            for name, material in self.materials.items()
+            for name, material in seen.items()
         }
         self._choosers = {
             name: Chooser(self._mi, scene, tolerance, METHODS) for name, scene in self._scenes.items()
