@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from simulator.materials import ClosedFormMaterial, Value
+    from simulator.line_words import Value
+    from simulator.materials import ClosedFormMaterial
 
     Array = NDArray[np.float64]
 

@@ -252,7 +252,8 @@ def _model_seen(instrument: Instrument, material: SpectralMaterial, tolerance: f
             name: tuple(instrument.mean(value.at(instrument.wavelength_nm)[:, 0]).tolist())
             for name, value in spectra.items()
         }
-        checked = closed_form_material(material.model, {**material.parameters, **means}, material.spec)
+        plain = {n: v for n, v in material.parameters.items() if not isinstance(v, Spectrum)}
+        checked = closed_form_material(material.model, {**plain, **means}, material.spec)
         return ClosedFormMaterial(material.spec, material.model, checked.parameters, material.mounting)
 
     def at(wavelength_nm: float) -> Reflectance:

@@ -104,7 +104,7 @@ def _read_picture(file: str, _modified_ns: int) -> Array:
     stored = cv2.imread(file, cv2.IMREAD_UNCHANGED)
     if stored is None:
         raise BadInput("no picture that can be read", where=file, todo="give a PNG or TIFF file")
-    scale = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1.0
+    scale = {"uint8": 255.0, "uint16": 65535.0}.get(stored.dtype.name, 1.0)
     stored = stored[..., None] if stored.ndim == 2 else stored[..., CHANNELS - 1 :: -1]
     picture = (stored / scale).astype(np.float32).astype(np.float64)
     if not ((picture >= 0.0) & (picture <= 1.0)).all():

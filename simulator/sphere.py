@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from rig.angles import spherical_to_direction, unit
 from simulator import bsdfs
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
-from simulator.materials import CHANNELS, ClosedFormMaterial, closed_form_material, parse_material
+from simulator.line_words import CHANNELS
+from simulator.materials import ClosedFormMaterial, closed_form_material, parse_material
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from simulator.materials import Material, Value
+    from simulator.line_words import Value
+    from simulator.materials import Material
 
     Reflectance = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 

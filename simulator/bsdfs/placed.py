@@ -7,20 +7,13 @@ is `simulator.light.sample_shapes` a second time, in single precision.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 
+from simulator.bsdfs import MOUNTINGS
 from simulator.mounting import Form, PatternKind
 from simulator.patterns import read_picture, relief_waves
-
-if TYPE_CHECKING:
-    from simulator.mounting import Mounting
-
-PLACED = "gonio-placed"
-
-MOUNTINGS: dict[str, Mounting] = {}
-"""By the name that a description passes: Mitsuba's properties hold no objects of ours."""
 
 
 def placed_bsdf(mi: Any) -> type:  # noqa: C901 - a class, made where its base is known
@@ -36,7 +29,7 @@ def placed_bsdf(mi: Any) -> type:  # noqa: C901 - a class, made where its base i
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.of = props["of"]
-            self.other = props["other"] if "other" in props else None  # noqa: SIM401 - no `get` there
+            self.other: Any = props["other"] if "other" in props else None  # noqa: SIM401 - no `get` there
             self.mounting = MOUNTINGS[props["mounting"]]
             self.to_scene = mi.Transform4f(self.mounting.to_scene.tolist())
             self.to_sample = self.to_scene.inverse()
@@ -82,7 +75,7 @@ def placed_bsdf(mi: Any) -> type:  # noqa: C901 - a class, made where its base i
 
         def _weight(self, si: Any, place: Any) -> Any:
             """Share of the second material."""
-            pattern = self.mounting.pattern
+            pattern: Any = self.mounting.pattern
             if self.picture is not None:
                 at = mi.SurfaceInteraction3f(si)
                 u, v = 0.5 + 0.5 * place.x / self.radius, 0.5 - 0.5 * place.y / self.radius

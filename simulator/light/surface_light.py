@@ -158,10 +158,10 @@ class SurfaceLight(Evaluator):
             more = self._nodes.sum(view, lens, even_rule(points, 2 * points))
             finer, points = 0.5 * (values + more), 2 * points
             change, values = finer - values, finer
-            lit = np.count_nonzero(smooth.any(axis=-1)) + np.count_nonzero(values.any(axis=-1))
-            mean = (smooth.sum() + values.sum()) / max(1, 3 * lit)
+            lit = max(1, int(smooth.any(axis=-1).sum()) + int(values.any(axis=-1).sum()))
+            mean = (smooth.sum() + values.sum()) / (3 * lit)
             # The next doubling would change it by less: points that are evenly spread converge.
-            error = float(np.sqrt(np.sum(change**2) / max(1, 3 * lit)) / mean) if mean > 0.0 else 0.0
+            error = float(np.sqrt(np.sum(change**2) / (3 * lit)) / mean) if mean > 0.0 else 0.0
             if error <= 0.5 * tolerance or points >= _MOST:
                 return values, error, points
 
