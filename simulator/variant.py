@@ -7,12 +7,14 @@ before Mitsuba loads, and handed to Dr.Jit in `DRJIT_LIBLLVM_PATH`.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,7 +168,7 @@ def _advice(given: str | None, candidates: list[Path]) -> str:
     elif sys.platform == "darwin":
         problem, cure = f"no LLVM >= {OLDEST_LLVM} found", "for faster light: brew install llvm"
     else:
-        newest = f" ({candidates[0].name} is too old)" if candidates else ""
+        newest = f" ({candidates[0].name} cannot be used)" if candidates else ""
         problem = f"no LLVM >= {OLDEST_LLVM} found{newest}"
         cure = f"for faster light: apt install libllvm{OLDEST_LLVM}"
     return f"rendering with {SCALAR}: {problem}; {cure}"
@@ -195,7 +197,8 @@ def load_mitsuba(asked: str | None = None, *, say: Callable[[str], object] | Non
     choice = choose_variant(asked)
     if choice.library is not None:
         os.environ[LIBRARY_VARIABLE] = str(choice.library)
-    import mitsuba
+    with _without_lines_of(b"jit"):
+        import mitsuba
 
     try:
         mitsuba.set_variant(choice.variant)
@@ -207,6 +210,28 @@ def load_mitsuba(asked: str | None = None, *, say: Callable[[str], object] | Non
     if choice.advice:
         (say or _say)(choice.advice)
     return mitsuba
+
+
+@contextlib.contextmanager
+def _without_lines_of(speaker: bytes) -> Iterator[None]:
+    """Keep lines of Dr.Jit's own off standard error: that there is no LLVM is told once, with what to do."""
+    try:
+        stderr = os.dup(2)
+    except OSError:  # a process without one
+        yield
+        return
+    with tempfile.TemporaryFile() as written:
+        sys.stderr.flush()
+        os.dup2(written.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            written.seek(0)
+            for line in written:
+                if not line.startswith(speaker):
+                    os.write(2, line)
 
 
 @functools.cache  # once for each line is enough for a person

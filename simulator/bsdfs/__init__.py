@@ -9,6 +9,9 @@ numbers that single precision does not have.
 A model is a row of `catalogue.LOBES`; `pair` holds what lobes need of two directions, `facets` and `fresnel`
 what they are made of, and `plugin` makes a BSDF of a row. A model without a row is still evaluated in closed
 form; see `has_lobes`.
+
+Dr.Jit looks for LLVM when it is first imported: `simulator.variant` has to come before, so that nothing here
+is imported at the top of a module elsewhere but this one.
 """
 
 from __future__ import annotations
@@ -18,7 +21,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-PLUGIN = "gonio"
+    from simulator.mounting import Mounting
+
+PLUGIN, PLACED = "gonio", "gonio-placed"
+
+MOUNTINGS: dict[str, Mounting] = {}
+"""By the name that a description passes: Mitsuba's properties hold no objects of ours."""
 
 _registered: set[str] = set()
 
@@ -54,7 +62,7 @@ def register(mi: Any) -> None:
     mi : module
         Mitsuba, its variant set.
     """
-    from simulator.bsdfs.placed import PLACED, placed_bsdf
+    from simulator.bsdfs.placed import placed_bsdf
     from simulator.bsdfs.plugin import closed_form_bsdf
 
     variant = mi.variant()

@@ -16,7 +16,7 @@ from analysis.models import MODELS
 from analysis.models.base import Kind
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
-from simulator.bsdfs.placed import MOUNTINGS, PLACED
+from simulator.bsdfs import MOUNTINGS, PLACED
 from simulator.light.scene import Event
 from simulator.materials import ClosedFormMaterial, MitsubaMaterial, load_bsdf
 from simulator.mounting import Form
