@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,6 +78,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
 }
 """By part: its heading, what it does, and its figure."""
 
+COLUMNS = 110
+
 HEAD = """# Other laboratories' data, in numbers
 
 Written by `python -m benchmarks.data_page docs numbers.json` from what
@@ -97,7 +100,7 @@ def page(results: Sequence[dict[str, Any]]) -> str:
         ]
         if not own:
             continue
-        lines += [f"## {title}", "", f"`gonio bench {part}`. {text}", ""]
+        lines += [f"## {title}", "", *textwrap.wrap(f"`gonio bench {part}`. {text}", COLUMNS), ""]
         lines += [f"![{picture[1]}](data/{picture[0]})", ""] if picture else []
         lines += [*table(own), ""]
     return "\n".join(lines)

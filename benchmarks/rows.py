@@ -37,7 +37,8 @@ def table(results: Iterable[dict[str, Any]]) -> list[str]:
         value = "-" if each["value"] is None else f"{each['value']:.4g}"
         target = "" if each["target"] is None else f"{each['target']:g}"
         verdict = "" if each["target"] is None else "met" if each["ok"] else "**missed**"
-        lines.append(f"| {each['name']} | {value} {each['unit']} | {target} | {verdict} |")
+        name = str(each["name"]).replace("|", "\\|")
+        lines.append(f"| {name} | {value} {each['unit']} | {target} | {verdict} |")
     return lines
 
 
