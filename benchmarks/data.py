@@ -2,9 +2,9 @@
 
 The parts can be run alone: data_rt300s (published tables from raw files, reading time, repeatability),
 data_mwir (what `gonio check` says of the published cosine, emissivity), data_exchange (which format claims
-which file, Radiance's own tools), data_rgl (tables for renderers), data_damaged (damaged files), doctor
-(conventions corrupted on purpose). All of them take about a quarter of an hour; `benchmarks/data_page.py`
-sets what they print into docs/data.md.
+which file, Radiance's own tools), data_rgl (tables for renderers), data_readers (texts at their size limit),
+data_damaged (damaged files), doctor (conventions corrupted on purpose). All of them take about half an hour;
+`benchmarks/data_page.py` sets what they print into docs/data.md.
 """
 
 from __future__ import annotations

@@ -64,6 +64,18 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
             "Errors of tables made from scattered samples",
         ),
     ),
+    "data_readers": (
+        "Large texts",
+        "Every reader of text at its size limit, whole and with its last number damaged: processor "
+        "time and memory of a process that reads one such file.",
+        None,
+    ),
+    "data_readers": (
+        "Texts at their size limit",
+        "One file of each kind, as many rows as fit; the last number damaged too. Short rows make the most "
+        "samples: ten characters each.",
+        None,
+    ),
     "data_damaged": (
         "Damaged files",
         "Seeded damages of each format: cut, line ends, decimal commas, NaN, wrong counts, "

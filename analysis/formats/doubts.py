@@ -44,10 +44,10 @@ def doubts(samples: xr.Dataset, path: Path) -> str:
 
 
 def unfinished(path: Path) -> bool:
-    """Whether a text ends in what may be the first digits of a number, not in a line's end or a blank."""
+    """Whether a text ends within a line."""
     with path.open("rb") as stream:
         stream.seek(-min(2, path.stat().st_size), 2)
-        return not stream.read().replace(b"\0", b"")[-1:].isspace()  # UTF-16 has zero bytes
+        return stream.read().replace(b"\0", b"")[-1:] not in {b"\n", b"\r"}  # UTF-16 has zero bytes
 
 
 def _short_run(directions: Array, what: str) -> list[str]:
