@@ -79,7 +79,10 @@ def accepted(mi: Any, line: str, renders: int) -> tuple[float, float]:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize(
+    "line",
+    [pytest.param(line, marks=() if "sphere:radius_mm=15" in line else pytest.mark.slow) for line in LINES],
+)
 def test_mitsubas_path_tracer_sees_the_same(vector: Any, line: str) -> None:
     """Would catch a form, normal, axis, relief or pattern that the two scenes do not share."""
     part, bias = accepted(vector, line, 32)
