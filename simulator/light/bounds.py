@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from simulator.light.classes import Walk
+    from simulator.light.hemisphere import Hemisphere
     from simulator.light.scene import PlanarMirror, Scene
 
 Array = NDArray[np.float64]
@@ -78,18 +79,23 @@ class Surroundings:
         origin = np.zeros(3)
         nearest = min((_distance(mirror, origin) for mirror in scene.mirrors), default=np.inf)
         self._to_mirror_mm = max(0.0, nearest - scene.sample_radius_mm)
+        self._known_from: Array | None = None
+        self._known: dict[Walk, Light] = {}
 
     def along(self, walk: Walk, lamp_mm: Array) -> Light:
-        """Follow the lamp's light over all surfaces of a walk."""
-        light = Light(lamp_mm=lamp_mm)
-        for node, event in walk:
+        """Follow the lamp's light over all surfaces of a walk; what walks have in common is followed once."""
+        if self._known_from is None or not np.array_equal(self._known_from, lamp_mm):
+            self._known_from, self._known = lamp_mm, {(): Light(lamp_mm=lamp_mm)}
+        if walk not in self._known:
+            light, (node, event) = self.along(walk[:-1], lamp_mm), walk[-1]
             if node == HOUSING:
                 light = self._on_walls(light)
             elif event is Event.MIRROR:
                 light = _in_mirror(light, None if node == SAMPLE else self._scene.mirrors[int(node)])
             else:
                 light = self._on_sample(light)
-        return light
+            self._known[walk] = light
+        return self._known[walk]
 
     def radiance_on_sample(self, light: Light) -> Array:
         """Largest radiance (channels,) that walls, or mirrors that show them, send to the sample."""
@@ -103,6 +109,13 @@ class Surroundings:
         if light.mirrored or len(light.walls) == 1:
             return np.pi * self.radiance_on_sample(light)
         return self._cells.on_sample(self._wall_albedo * light.walls)
+
+    def lobe_on_sample(self, light: Light, lobe: Hemisphere) -> Array:
+        """Radiance (channels,) that a lobe makes of the walls it looks at, or of mirrors that show them."""
+        if light.mirrored or len(light.walls) == 1:
+            return lobe.rest * self.radiance_on_sample(light)
+        seen = self._wall_albedo / np.pi * light.walls[self._cells.seen(lobe.directions)]
+        return np.asarray(np.sum(lobe.weights * seen, axis=0))
 
     def sample_on_itself(self, light: Light) -> Array:
         """Irradiance (channels,) of the sample by its own image in a mirror."""

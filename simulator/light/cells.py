@@ -1,23 +1,31 @@
-"""Upper bounds of the light between a housing's walls and a sample, by intervals: never below the truth.
+"""Upper bounds of the light between a housing's walls and a sample.
 
-The walls of the cube are cut into cells. Between two cells, or a cell and the sample, the kernel
-cos cos' / (pi r^2) is at most the product of the largest cosines over the smallest distance, each over the
-whole of both. The light that a point receives is a mean of the walls' with weights that add up to at most 1
-(the projected hemisphere) and are each at most their bound: the largest such mean fills the brightest cells
-first. Shadows only take light away.
+The walls of the cube are cut into cells. What the lamp gives a cell is the largest of its values at nine
+nodes, corners and middle, which bound a function that is smooth there; in cells near the lamp it is bounded
+by intervals: the largest cosines over the smallest distance. From cell to cell, and to the sample, light goes
+by form factors, and margins make up for what a mean over a cell does not know. Shadows only take light away.
 """
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.light.walls import Walls
+
 Array = NDArray[np.float64]
-_Boxes = tuple[Array, Array, Array]
-"""Lowest and highest corners, and the normals of what lies in the boxes."""
+Indices = NDArray[np.intp]
 
 SIDE_CELLS = 8
-"""Cells along each side of a wall: 384 in all, whose pairs fit into a millisecond."""
+"""Cells along each side of a wall: 384 in all."""
+_NODES = np.array([-1.0, 0.0, 1.0])
+_SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
+_NEAR = 1.0
+"""Distance of lamp and cell, in sides of a cell, up to which it is bounded by intervals."""
+_SAMPLE_MARGIN, _CELL_MARGIN = 1.1, 1.25
+"""What a place of the sample, or of a cell, may receive above the mean that form factors know."""
 
 
 class Cells:
@@ -29,34 +37,36 @@ class Cells:
         Half the cube's side.
     sample_radius_mm : float
         The sample's.
+
+    Attributes
+    ----------
+    above : ndarray of bool, shape (cells,)
+        Whether the sample sees it.
+    from_sample : ndarray, shape (cells,)
+        Irradiance at most by a sample whose radiance times cosine is 1.
     """
 
     def __init__(self, half_size_mm: float, sample_radius_mm: float) -> None:
-        edges = np.linspace(-half_size_mm, half_size_mm, SIDE_CELLS + 1)
-        low, high = (axis.ravel() for axis in np.meshgrid(edges[:-1], edges[:-1], indexing="ij"))
-        side_mm = edges[1] - edges[0]
-        lows, highs, normals = [], [], []
-        for axis in range(3):
-            for sign in (-1.0, 1.0):
-                corner = np.insert(np.stack([low, high], axis=1), axis, sign * half_size_mm, axis=1)
-                extent = np.insert(np.full(2, side_mm), axis, 0.0)
-                lows.append(corner)
-                highs.append(corner + extent)
-                normals.append(np.broadcast_to(-sign * np.eye(3)[axis], corner.shape))
-        self._low, self._high = np.concatenate(lows), np.concatenate(highs)
-        self._normal = np.concatenate(normals)
-        area = side_mm**2
-        disc = np.array([sample_radius_mm, sample_radius_mm, 0.0])
+        self._walls = Walls(half_size_mm, SIDE_CELLS)
+        self._half_mm = half_size_mm / SIDE_CELLS
+        normals = self._walls.normals
+        sides = [np.roll(normals, shift, axis=1) * self._half_mm for shift in (1, 2)]
+        self._points = (
+            self._walls.centres[:, None, None]
+            + _NODES[:, None, None] * sides[0][:, None, None]
+            + _NODES[:, None] * sides[1][:, None, None]
+        ).reshape(-1, len(_NODES) ** 2, 3)
+        self._low, self._high = self._points.min(axis=1), self._points.max(axis=1)
+        self.above = self._high[:, 2] > 1e-9 * half_size_mm
+        distance = np.linalg.norm(self._points, axis=-1)
+        there = -np.einsum("pnj,pj->pn", self._points, normals) / distance
+        here = np.maximum(self._points[..., 2], 0.0) / distance
+        means = np.outer(_SIMPSON, _SIMPSON).ravel()
+        area = self._walls.patch_area
+        self._seen_by_sample = (here * there / distance**2) @ means * area / np.pi
         disc_area = np.pi * sample_radius_mm**2
-        up = np.array([0.0, 0.0, 1.0])
-        here = (self._low[:, None], self._high[:, None], self._normal[:, None])
-        there = (self._low[None], self._high[None], self._normal[None])
-        self._between = np.minimum(area * _kernel(here, there) / np.pi, 1.0)
-        to_sample = _kernel((self._low, self._high, self._normal), (-disc, disc, up))
-        self._seen_by_sample = np.minimum(area * to_sample / np.pi, 1.0)
-        self.above = self._high[:, 2] > 0.0
-        # Of the sample the product of radiance and cosine is known: its own cosine is left out here.
-        self.from_sample = disc_area * _half_kernel(self._low, self._high, self._normal, -disc, disc)
+        visible = disc_area * (there / distance**2).max(axis=1) * self.above
+        self.from_sample = _SAMPLE_MARGIN * visible
 
     def lit_by(self, lamp_mm: Array, intensity: float, radius_mm: float, axis: Array | None) -> Array:
         """Irradiance of the walls by the lamp, at most.
@@ -76,58 +86,34 @@ class Cells:
         -------
         ndarray, shape (cells,)
         """
-        near = np.maximum(_gap(self._low, self._high, lamp_mm, lamp_mm) - radius_mm, np.finfo(float).tiny)
-        height = _most(self._low, self._high, lamp_mm, lamp_mm, self._normal) + radius_mm
-        found = intensity * np.minimum(height / near, 1.0) / near**2
-        if axis is None:
-            return np.asarray(found)
-        ahead = _most(lamp_mm, lamp_mm, self._low, self._high, axis) + radius_mm
-        return np.asarray(found * np.clip(ahead / near, 0.0, 1.0))
+        gap = np.linalg.norm(np.maximum(np.maximum(self._low - lamp_mm, lamp_mm - self._high), 0.0), axis=-1)
+        near = gap <= 2.0 * _NEAR * self._half_mm + radius_mm
+        way = self._points - lamp_mm
+        distance = np.maximum(np.linalg.norm(way, axis=-1), np.finfo(float).tiny)
+        cosine = np.maximum(-np.einsum("pnj,pj->pn", way, self._walls.normals), 0.0) / distance
+        emitted = np.ones_like(cosine) if axis is None else np.maximum(way @ axis, 0.0) / distance
+        found = intensity * (cosine * emitted / distance**2).max(axis=1)
+        closest = np.maximum(gap - radius_mm, np.finfo(float).tiny)
+        height = np.max(-np.einsum("pnj,pj->pn", way, self._walls.normals), axis=1) + radius_mm
+        bound = intensity * np.clip(height / closest, 0.0, 1.0) / closest**2
+        if axis is not None:
+            bound = bound * np.clip(((way @ axis).max(axis=1) + radius_mm) / closest, 0.0, 1.0)
+        return np.asarray(np.where(near, bound, found))
 
     def exchange(self, leaving: Array) -> Array:
         """Irradiance of the walls by radiosities (cells, channels) of all walls, at most."""
-        return _brightest_first(leaving, self._between)
+        return np.asarray(_CELL_MARGIN * _form_factors() @ leaving)
 
     def on_sample(self, leaving: Array) -> Array:
         """Irradiance (channels,) of the sample by radiosities (cells, channels) of the walls, at most."""
-        return np.asarray(_brightest_first(leaving, self._seen_by_sample[None])[0])
+        return np.asarray(_SAMPLE_MARGIN * self._seen_by_sample @ leaving)
+
+    def seen(self, directions: Array) -> Indices:
+        """Return the cells (N,) that the sample's centre sees in directions (N, 3)."""
+        return self._walls.hit(np.zeros_like(directions), directions).patches
 
 
-def _brightest_first(leaving: Array, most: Array) -> Array:
-    """Largest means (rows, channels) of values (cells, channels), weights (rows, cells) at most as given."""
-    columns = []
-    for values in leaving.T:
-        order = np.argsort(-values)
-        filled = np.minimum(np.cumsum(most[:, order], axis=1), 1.0)
-        columns.append(np.diff(filled, axis=1, prepend=0.0) @ values[order])
-    return np.stack(columns, axis=1)
-
-
-def _gap(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
-    """Smallest distance of two boxes."""
-    apart = np.maximum(np.maximum(other_low - high, low - other_high), 0.0)
-    return np.asarray(np.linalg.norm(apart, axis=-1))
-
-
-def _most(low: Array, high: Array, other_low: Array, other_high: Array, normal: Array) -> Array:
-    """Largest height of a point of the other box over a point of the first, along a normal."""
-    ways = np.where(normal > 0.0, normal * (other_high - low), normal * (other_low - high))
-    return np.asarray(np.maximum(ways.sum(axis=-1), 0.0))
-
-
-def _kernel(first: _Boxes, second: _Boxes) -> Array:
-    """Largest cos cos' / r^2 between points of two boxes; infinite where they touch."""
-    (low, high, normal), (other_low, other_high, other_normal) = first, second
-    gap = _gap(low, high, other_low, other_high)
-    here = _most(low, high, other_low, other_high, normal)
-    there = _most(other_low, other_high, low, high, other_normal)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bound = np.minimum(here / gap, 1.0) * np.minimum(there / gap, 1.0) / gap**2
-    return np.where((here > 0.0) & (there > 0.0), np.nan_to_num(bound, nan=np.inf, posinf=np.inf), 0.0)
-
-
-def _half_kernel(low: Array, high: Array, normal: Array, other_low: Array, other_high: Array) -> Array:
-    """Largest cos / r^2, with the first box's cosine alone."""
-    gap = _gap(low, high, other_low, other_high)
-    here = _most(low, high, other_low, other_high, normal)
-    return np.where(high[..., 2] > 0.0, np.minimum(here / gap, 1.0) / gap**2, 0.0)
+@cache
+def _form_factors() -> Array:
+    """Shares (cells, cells) of what a cell receives that comes from each: of all cubes alike."""
+    return Walls(1.0, SIDE_CELLS).form_factors()

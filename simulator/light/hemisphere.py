@@ -21,7 +21,7 @@ _NARROWEST_RAD = 1e-5
 
 
 class Hemisphere(NamedTuple):
-    """What f_r does over all directions of the light; each (channels,).
+    """What f_r does over all directions of the light; (channels,) but for the nodes.
 
     Attributes
     ----------
@@ -32,11 +32,17 @@ class Hemisphere(NamedTuple):
         directional albedo.
     largest_cosine : ndarray
         Largest f_r times the light's cosine.
+    directions : ndarray, shape (N, 3)
+        Nodes of the rule, above the horizon.
+    weights : ndarray, shape (N, channels)
+        What each adds to `rest`.
     """
 
     least: Array
     rest: Array
     largest_cosine: Array
+    directions: Array
+    weights: Array
 
 
 def hemisphere(reflectance: Callable[[Array, Array], Array], wo: Array) -> Hemisphere:
@@ -64,8 +70,8 @@ def hemisphere(reflectance: Callable[[Array, Array], Array], wo: Array) -> Hemis
     wi = wi[above]
     f = reflectance(wi, np.broadcast_to(wo, wi.shape))
     least = f.min(axis=0)
-    rest = solid_angle[above] @ ((f - least) * wi[:, 2:])
-    return Hemisphere(least, rest, (f * wi[:, 2:]).max(axis=0))
+    weights = solid_angle[above, None] * (f - least) * wi[:, 2:]
+    return Hemisphere(least, weights.sum(axis=0), (f * wi[:, 2:]).max(axis=0), wi, weights)
 
 
 @cache

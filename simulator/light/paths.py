@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import re
 from functools import cached_property, lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from greenery import Fsm, Pattern, parse
@@ -44,6 +45,7 @@ _EVENTS = {
 }
 _TOKEN = re.compile(r"D[lg]|[LDSE()|*+?]")
 _QUANTIFIERS = frozenset("*+?")
+_HASHED_WORDS = 8
 _WHOLE = parse("L[lgS]*E").to_fsm()
 
 
@@ -87,11 +89,17 @@ class LightPaths:
         return bool(self._automaton.issubset(other._automaton))
 
     def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
         return isinstance(other, LightPaths) and bool(self._automaton.equivalent(other._automaton))
 
     def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
         # Equal sets may be written differently; what comes first of their words is the same.
-        return hash(next(self.words(), ""))
+        return hash(tuple(islice(self.words(), _HASHED_WORDS)))
 
     def __bool__(self) -> bool:
         return not self._automaton.empty()

@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.angles import unit
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator.light.bounds import CHANNELS, Light, Surroundings
-from simulator.light.classes import SHORT, path_classes, walks
+from simulator.light.classes import SAMPLE, SHORT, path_classes, walks
 from simulator.light.hemisphere import hemisphere
+from simulator.light.lobes import brightest_from, brightest_within, image_cone
 from simulator.light.scene import Event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from simulator.light.classes import PathClass
+    from simulator.light.classes import PathClass, Walk
     from simulator.light.scene import Scene
 
     Reflectance = Callable[["Array", "Array"], "Array"]
@@ -34,6 +36,10 @@ _NODES = 24
 """Rows and columns of pixels, of the whole frame, from which the direct light's mean is taken."""
 _MARGIN = 1.05
 """What the integrals over the hemisphere may be wrong by: their rule does not know the lobe."""
+_LOBE_MARGIN = 1.3
+"""What the largest value of f_r in a cone may be above that of its nodes."""
+_DIRECTIONS = 5
+"""Directions of lamp and camera, of all points seen, for which a cone is looked through."""
 _THETAS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 80.0, 85.0, 89.0])
 """Polar angles at which the sample is looked at for light from anywhere."""
 
@@ -56,6 +62,8 @@ class Shares:
         if not self._unbounded:
             self._surroundings = Surroundings(scene, *self._over_all_directions())
             self._before_longer = () if self.classes[-1].walks else tuple(walks(scene, SHORT))
+            self._cones = [image_cone(scene, mirror) for mirror in scene.mirrors]
+            self._again = self._to_and_fro()
 
     def bounds(self, angles_rad: Sequence[float]) -> tuple[float, ...]:
         """Bound each class's share at a pose.
@@ -89,12 +97,29 @@ class Shares:
         albedo = np.max([np.pi * f.least + _MARGIN * f.rest for f in found], axis=0)
         return albedo, _MARGIN * np.max([f.largest_cosine for f in found], axis=0)
 
+    def _to_and_fro(self) -> Array | None:
+        """Bound what is left (channels,) of light from the sample over the only mirror back to it.
+
+        None where light has other ways to go, or where more comes back than went.
+        """
+        scene = self._scene
+        if scene.housing is not None or len(scene.mirrors) != 1 or Event.MIRROR in scene.events:
+            return None
+        if self._cones[0] is None:
+            return None
+        within = brightest_within(self._reflectance, self._cones[0])
+        left = _LOBE_MARGIN * scene.mirrors[0].reflectance * self._cones[0].solid_angle * within
+        return left if np.all(left < 1.0) else None
+
     def _radiance(self, pose: _Pose, path_class: PathClass) -> Array | None:
         """Mean radiance of a class, at most; None where no bound is known."""
         if not path_class.walks:
             return self._longer(pose)
         total = np.zeros(CHANNELS)
         for walk in path_class.walks:
+            if _returns(walk) and (found := self._in_own_image(pose, int(walk[1][0]))) is not None:
+                total += found
+                continue
             light = self._surroundings.along(walk[:-1], pose.lamp_mm)
             arrived = self._camera(pose, light, walk[-1][1])
             if arrived is None:
@@ -113,13 +138,28 @@ class Shares:
             if not around.reaches_sample(light):
                 return np.zeros(CHANNELS)
             return pose.lit(light.lamp_mm, light.kept)
-        brightest = around.radiance_on_sample(light)
         found = pose.largest * around.sample_on_itself(light)
-        # What f_r is at least, all walls light together; the rest may look where they are brightest.
-        return np.asarray(found + pose.least * around.irradiance_of_sample(light) + pose.rest * brightest)
+        # What f_r is at least, all walls light together; the rest looks where the lobe looks.
+        walls = [
+            lobe.least * around.irradiance_of_sample(light) + _MARGIN * around.lobe_on_sample(light, lobe)
+            for lobe in pose.lobes
+        ]
+        return np.asarray(found + np.max(walls, axis=0))
+
+    def _in_own_image(self, pose: _Pose, number: int) -> Array | None:
+        """Mean radiance (channels,) of the sample lit by its image in a mirror, at most."""
+        cone, mirror = self._cones[number], self._scene.mirrors[number]
+        if cone is None:
+            return None
+        lit = pose.irradiance * brightest_from(self._reflectance, cone, pose.wi)
+        seen = brightest_from(self._reflectance, cone, pose.wo)
+        return np.asarray(_LOBE_MARGIN**2 * mirror.reflectance * cone.solid_angle * lit * seen)
 
     def _longer(self, pose: _Pose) -> Array | None:
         """Mean radiance of all paths beyond the short ones, at most: a geometric series."""
+        if self._again is not None:
+            once = self._in_own_image(pose, 0)
+            return None if once is None else once * self._again / (1.0 - self._again)
         around = self._surroundings
         lights = [around.along(walk, pose.lamp_mm) for walk in self._before_longer]
         if any(light.lamp_mm is not None for light in lights):
@@ -131,6 +171,12 @@ class Shares:
         mirrored = brightest if Event.MIRROR in self._scene.events else 0.0
         scattered = (np.pi * pose.least + pose.rest) * brightest
         return np.asarray(scattered + mirrored + pose.largest * around.sample_on_itself(total))
+
+
+def _returns(walk: Walk) -> bool:
+    """Tell whether light goes from the lamp over the sample and one mirror to the sample, scattered twice."""
+    events = [event is Event.MIRROR for _, event in walk]
+    return events == [False, True, False] and walk[0][0] == SAMPLE == walk[2][0] and walk[1][0] != SAMPLE
 
 
 def _share(radiance: Array | None, direct: Array) -> float:
@@ -147,6 +193,12 @@ class _Pose:
     Attributes
     ----------
     lamp_mm : ndarray, shape (3,)
+    wi, wo : ndarray, shape (N, 3)
+        Of a few points seen, towards lamp and camera.
+    irradiance : float
+        By the lamp, at most.
+    lobes : list of Hemisphere
+        Seen from the lowest, the middle and the highest of the camera's directions.
     least, rest, largest : ndarray, shape (channels,)
         As in `hemisphere`, over the directions of the camera.
     """
@@ -156,8 +208,15 @@ class _Pose:
     ) -> None:
         self._scene, self._reflectance = scene, reflectance
         self.lamp_mm, self._points_mm, self._wo = lamp_mm, points_mm, wo
-        ends = wo[[np.argmin(wo[:, 2]), np.argmax(wo[:, 2])]]
-        found = [hemisphere(reflectance, end) for end in ends]
+        few = np.unique(np.linspace(0, len(points_mm) - 1, _DIRECTIONS).astype(int))
+        way = lamp_mm - points_mm[few]
+        self.wi, self.wo = unit(way), wo[few]
+        self.wi = self.wi[self.wi[:, 2] > 0.0]
+        nearest = max(lamp_mm[2], float(np.linalg.norm(lamp_mm)) - scene.sample_radius_mm, 1e-300)
+        self.irradiance = scene.lamp_intensity * max(0.0, float(lamp_mm[2])) / nearest**3
+        order = np.argsort(wo[:, 2])
+        found = [hemisphere(reflectance, end) for end in wo[order[[0, len(order) // 2, -1]]]]
+        self.lobes = found
         self.least = np.min([f.least for f in found], axis=0)
         total = np.max([np.pi * f.least + _MARGIN * f.rest for f in found], axis=0)
         self.rest = total - np.pi * self.least
