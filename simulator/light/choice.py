@@ -1,8 +1,8 @@
 """What is computed of a scene's light at a pose, by which methods, and what is skipped: decided beforehand.
 
 Every class of the scene's paths has a bound of its share at the pose (`simulator.light.shares`). The smallest
-are skipped, as long as their bounds together are below half the tolerance; the rest is divided among methods
-that can compute it, at the least predicted time, each within its part of what is left of the tolerance.
+are skipped, as long as their bounds together are below the tolerance and something is left of it; the rest is
+divided among methods that can compute it, at the least predicted time, each within its part of what is left.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from rig.errors import Refused
 from simulator.light.paths import LightPaths
@@ -28,6 +30,10 @@ NOT_PLAIN = "it takes the sample for flat, level and alike everywhere"
 """Why a method is not asked about a scene whose sample is not."""
 
 
+MOST_SKIPPED = 0.9
+"""Part of the tolerance that may be spent on what is skipped: what is left, methods must do with."""
+
+
 @dataclass(frozen=True)
 class Part:
     """What one method computes.
@@ -42,9 +48,9 @@ class Part:
     seconds : float
         Predicted time of the pose.
     tolerance : float
-        The error that it is asked for, relative to the mean radiance over the sample.
+        The error that it is asked for, relative to the mean radiance of what it computes.
     leaves_out : float
-        The error that it leaves however long it works, on top.
+        The error that it leaves however long it works, on top; relative to all light.
     """
 
     method: Method
@@ -158,14 +164,11 @@ class Chooser:
             return Decision((), (), (), (), self._tolerance)
         left_out = _LeftOut(self._mi, self._scene, angles_rad)
         best: tuple[tuple[bool, float], tuple[Part, ...], tuple[int, ...]] | None = None
-        for skipped, spent in self._skippable(bounds):
-            kept = tuple(number for number in range(len(classes)) if number not in skipped)
-            for division in self._divisions(kept):
-                parts = self._parts(division, self._tolerance - spent, left_out)
-                missed = spent + sum(part.leaves_out for part in parts) > self._tolerance
-                cost = sum(part.leaves_out for part in parts) if missed else sum(p.seconds for p in parts)
-                if best is None or (missed, cost) < best[0]:
-                    best = (missed, cost), parts, skipped
+        for skipped, spent, parts in self._ways(bounds, MOST_SKIPPED * self._tolerance, left_out):
+            missed = spent + sum(part.leaves_out for part in parts) > self._tolerance
+            cost = sum(part.leaves_out for part in parts) if missed else sum(p.seconds for p in parts)
+            if best is None or (missed, cost) < best[0]:
+                best = (missed, cost), parts, skipped
         if best is None:
             raise Refused(
                 f"no method computes the light paths {self._unable()}",
@@ -174,13 +177,32 @@ class Chooser:
             )
         return Decision(classes, bounds, best[1], tuple(classes[n] for n in best[2]), self._tolerance)
 
-    def _skippable(self, bounds: Sequence[float]) -> Iterator[tuple[tuple[int, ...], float]]:
-        """Yield what may be skipped, the most first, with the sum of its bounds."""
+    def ways(self, angles_rad: Sequence[float]) -> Iterator[tuple[Part, ...]]:
+        """Yield every way to compute a pose, those too that skip more than may be.
+
+        Parameters
+        ----------
+        angles_rad : sequence of float
+            True angles of the arm joints.
+        """
+        left_out = _LeftOut(self._mi, self._scene, angles_rad)
+        for _, _, parts in self._ways(self._shares.bounds(angles_rad), np.inf, left_out):
+            yield parts
+
+    def _ways(
+        self, bounds: Sequence[float], most: float, left_out: _LeftOut
+    ) -> Iterator[tuple[tuple[int, ...], float, tuple[Part, ...]]]:
+        """Yield what is skipped, the sum of its bounds, and who computes the rest."""
         order = sorted(range(len(bounds)), key=lambda number: (bounds[number], -number))
-        sums = [sum(bounds[number] for number in order[:most]) for most in range(len(order))]
-        for most in reversed(range(len(order))):
-            if sums[most] <= 0.5 * self._tolerance:
-                yield tuple(sorted(order[:most])), sums[most]
+        for count in reversed(range(len(order))):
+            spent = sum(bounds[number] for number in order[:count])
+            if spent > most:
+                continue
+            skipped = tuple(sorted(order[:count]))
+            kept = tuple(number for number in range(len(bounds)) if number not in skipped)
+            left = max(self._tolerance - spent, (1.0 - MOST_SKIPPED) * self._tolerance)
+            for division in self._divisions(kept):
+                yield skipped, spent, self._parts(division, left, bounds, left_out)
 
     def _divisions(self, kept: tuple[int, ...]) -> tuple[dict[Method, tuple[int, ...]], ...]:
         """Every way to divide classes among methods that can compute their parts exactly."""
@@ -217,14 +239,22 @@ class Chooser:
         return self._unions[numbers]
 
     def _parts(
-        self, division: Mapping[Method, tuple[int, ...]], left: float, left_out: _LeftOut
+        self,
+        division: Mapping[Method, tuple[int, ...]],
+        left: float,
+        bounds: Sequence[float],
+        left_out: _LeftOut,
     ) -> tuple[Part, ...]:
-        """Ask each method for its part of what is left of the tolerance."""
+        """Ask each method for its part of what is left; light that is little may be rough."""
         parts = []
         for method, numbers in division.items():
             paths, missing = self._union(numbers), left_out.by(method)
-            tolerance = max(left / len(division) - missing, _LEAST * self._tolerance)
-            seconds = method.seconds(self._scene, paths, tolerance, vector=self._vector)
+            allowed = max(left / len(division) - missing, _LEAST * self._tolerance)
+            share = min(1.0, sum(bounds[number] for number in numbers))
+            tolerance = allowed / max(share, allowed / _ROUGHEST)
+            seconds = method.seconds_at(
+                self._mi, self._scene, paths, tolerance, left_out.angles_rad, vector=self._vector
+            )
             classes = tuple(self._shares.classes[number] for number in numbers)
             parts.append(Part(method, classes, paths, seconds, tolerance, missing))
         return tuple(parts)
@@ -242,12 +272,15 @@ class Chooser:
 _LEAST = 0.05
 """Least part of the tolerance that a method is asked for, where it leaves out nearly all of it itself."""
 
+_ROUGHEST = 0.3
+"""Largest error that a method is asked for, relative to what it computes: beyond, none knows its own."""
+
 
 class _LeftOut:
     """What each method leaves out at a pose, asked for once."""
 
     def __init__(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> None:
-        self._arguments = mi, scene, angles_rad
+        self._arguments, self.angles_rad = (mi, scene, angles_rad), angles_rad
         self._known: dict[Method, float] = {}
 
     def by(self, method: Method) -> float:

@@ -8,6 +8,7 @@ holds the share of it that the sample fills; its nodes are taken as if the sampl
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
+from simulator.light.costs import value_s
 from simulator.light.direct_float64 import Float64Nodes
 from simulator.light.direct_llvm import MitsubaNodes
-from simulator.light.direct_search import Search
+from simulator.light.direct_search import CAUTION, MOST_NODES, Search
 from simulator.light.direct_view import extents_of, lens_of, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.finite_size import pose_error
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.light.sparse_rules import CENTRES, Levels, product_rule, sparse_rule
@@ -39,8 +42,8 @@ LOOKED_AT = 64
 """Rows and columns of pixels that the search looks at, evenly spread over the frame."""
 TOGETHER = 1 << 20
 """Pixels of all poses of one launch."""
-FLOAT64_NODE_S, ONE_BY_ONE_S, MITSUBA_NODE_S, LAUNCHES_S = 2.5e-7, 4e-6, 1.5e-8, 3e-3
-"""Seconds per node of a pixel in float64, of a BSDF in scalar mode, through LLVM; and of LLVM's launches."""
+FLOAT64_NODE_S, MITSUBA_NODE_S, LAUNCHES_S = 2.5e-7, 6e-8, 3e-3
+"""Processor seconds per node of a pixel in float64, through LLVM; and of LLVM's launches."""
 COARSE, FEW_NODES = 1e-3, 13
 """Tolerance that centres alone mostly meet, and nodes that mostly do for finer ones."""
 _CENTRE = product_rule(CENTRES)
@@ -164,15 +167,17 @@ class DirectLight(Evaluator):
         return [self._nodes.rounding + self._nodes.step_rad * float(slope) for slope in relative]
 
 
-def predicted_s(scene: Scene, tolerance: float, node_s: float) -> float:
-    """Predict the time of a pose from that of a node of a pixel.
+def predicted_s(scene: Scene, tolerance: float, node_s: float, centres: float = COARSE) -> float:
+    """Predict the time of a pose from that of a node of a pixel, and the error of the pixels' centres alone.
 
-    Most lobes need no more than four nodes in each part, and none but the centres for a coarse tolerance.
+    Each further level is a quarter of what is left, or less, and costs four times as much.
     """
     camera = scene.rig.camera
     looked_at = min(camera.width_px, LOOKED_AT) * min(camera.height_px, LOOKED_AT)
     pixels = camera.width_px * camera.height_px
-    return node_s * (FEW_NODES * looked_at + pixels * (1 if tolerance >= COARSE else FEW_NODES))
+    short = CAUTION * centres / tolerance
+    taken = 1.0 if short <= 1.0 else min(FEW_NODES * short**0.5, MOST_NODES)
+    return node_s * ((FEW_NODES if taken == 1.0 else 4.0 * taken + FEW_NODES) * looked_at + pixels * taken)
 
 
 def _spread(size: int) -> NDArray[np.intp]:
@@ -190,16 +195,36 @@ class _DirectMethod(Method):
         """Nothing is against it: flat samples are all that it is asked about."""
         return None
 
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
+        """Predict the time of a pose; see `Method.seconds`."""
+        return self._seconds(scene, tolerance, COARSE, vector=vector)
+
+    def seconds_at(
+        self,
+        mi: Any,
+        scene: Scene,
+        paths: LightPaths,  # noqa: ARG002
+        tolerance: float,
+        angles_rad: Sequence[float],
+        *,
+        vector: bool,
+    ) -> float:
+        """Predict the time of a certain pose: narrow lobes need more nodes; see `Method.seconds_at`."""
+        return self._seconds(scene, tolerance, pose_error(mi, scene, tuple(angles_rad)), vector=vector)
+
+    @abstractmethod
+    def _seconds(self, scene: Scene, tolerance: float, centres: float, *, vector: bool) -> float:
+        """Predict the time of a pose whose pixels' centres alone have a certain error."""
+
 
 class DirectFloat64(_DirectMethod):
     """Direct light in float64; a material without a closed form is asked for through Mitsuba."""
 
     name = "direct light by quadrature in float64"
 
-    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
-        """Predict the time of a pose; see `Method.seconds`."""
-        one_by_one = not scene.material.has_closed_form and not vector
-        return predicted_s(scene, tolerance, ONE_BY_ONE_S if one_by_one else FLOAT64_NODE_S)
+    def _seconds(self, scene: Scene, tolerance: float, centres: float, *, vector: bool) -> float:
+        node_s = FLOAT64_NODE_S + value_s(scene.material, vector=vector)
+        return predicted_s(scene, tolerance, node_s, centres)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> DirectLight:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
@@ -222,9 +247,8 @@ class DirectMitsuba(_DirectMethod):
             return NOT_RENDERED
         return None if vector else "it needs the LLVM variant"
 
-    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
-        """Predict the time of a pose; see `Method.seconds`."""
-        return LAUNCHES_S + predicted_s(scene, tolerance, MITSUBA_NODE_S)
+    def _seconds(self, scene: Scene, tolerance: float, centres: float, *, vector: bool) -> float:  # noqa: ARG002
+        return LAUNCHES_S + predicted_s(scene, tolerance, MITSUBA_NODE_S, centres)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> DirectLight:  # noqa: ARG002
         """Set it to work; see `Method.build`."""

@@ -130,6 +130,29 @@ class Method(ABC):
             The error wanted.
         """
 
+    def seconds_at(
+        self,
+        mi: Any,  # noqa: ARG002
+        scene: Scene,
+        paths: LightPaths,
+        tolerance: float,
+        angles_rad: Sequence[float],  # noqa: ARG002
+        *,
+        vector: bool,
+    ) -> float:
+        """Predict the time of a certain pose; by default that of any.
+
+        Parameters
+        ----------
+        mi, scene, paths, vector
+            As in `build` and `obstacle`.
+        tolerance : float
+            The error wanted.
+        angles_rad : sequence of float
+            True angles of the arm joints.
+        """
+        return self.seconds(scene, paths, tolerance, vector=vector)
+
     @abstractmethod
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:
         """Set it to work on exactly `paths` of a scene.

@@ -37,10 +37,14 @@ DEEPEST = 12
 _FEWEST, _MOST = 4, 64
 """Renders: as many as tell their own spread, and as many as a pose is worth."""
 _SAMPLES_PER_PIXEL = 16
-_NOISE_DIRECT, _NOISE_STRAY, _NOISE_GLOSSY = 3e-3, 1e-2, 3e-2
-"""Relative noise of a pixel for one path: of light that meets one surface, or more, or more with a lobe."""
-_SECONDS_PER_EVENT = {True: 4.5e-8, False: 1.5e-7}
-"""Time of one event of one path; vectorised, or not."""
+_NOISE_DIRECT, _NOISE_STRAY = 3e-3, 2.0
+"""Noise of a pixel for one path, relative to the light itself: of direct light, and of all other."""
+_STRAY_SHARE = 0.1
+"""Of a housing, over a/(1 - a): what its noise is to that of all light."""
+_EVENT_S, _SCALAR_EVENT_S, _RENDER_S = 1.3e-7, 4.5e-7, 3e-3
+"""Time of one event of one path, vectorised or not, and of starting a render."""
+_OPEN_EVENTS = 2.0
+"""Events of a path that has no housing to meet: it leaves."""
 
 
 class Estimate(NamedTuple):
@@ -164,6 +168,8 @@ class PathTracing(Method):
             return "a mirror never shows a point"
         if not scene.rendered:
             return NOT_RENDERED
+        if paths & LightPaths("LS+DE"):
+            return "it meets a small lamp in a mirror by chance, and knows no error where it does not"
         if _events(scene, paths) is None:
             return "it tells paths apart by their number of events alone"
         return None
@@ -171,12 +177,16 @@ class PathTracing(Method):
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""
         first, last = _events(scene, paths) or (1, DEEPEST)
-        stray = _NOISE_STRAY if Event.GLOSSY not in scene.events else _NOISE_GLOSSY
-        noise = _NOISE_DIRECT if last == 1 else stray
-        samples = np.clip((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST, _MOST) * _SAMPLES_PER_PIXEL
-        events = last + (first - 1)
+        albedo = scene.housing.albedo if scene.housing else 0.0
+        share = 1.0 if first > 1 else 0.0 if last == 1 else _STRAY_SHARE * albedo / (1.0 - albedo)
+        noise = _NOISE_DIRECT + _NOISE_STRAY * share
+        renders = np.clip((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST, _MOST)
+        followed = [last, first - 1] if first > 1 else [last]
+        longest = DEEPEST if scene.housing else _OPEN_EVENTS
+        events = sum(min(events, longest) + 1.0 for events in followed)
         pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
-        return float(_FEWEST * 2e-3 + pixels * samples * events * _SECONDS_PER_EVENT[vector])
+        each = pixels * _SAMPLES_PER_PIXEL * events * (_EVENT_S if vector else _SCALAR_EVENT_S)
+        return float(renders * (_RENDER_S * len(followed) + each))
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:
         """Set it to work; see `Method.build`."""

@@ -129,7 +129,7 @@ class PixelCentres(PointMethod):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
-        return 1.5e-3 + 1e-8 * scene.rig.camera.width_px * scene.rig.camera.height_px
+        return 8e-4 + 8e-8 * scene.rig.camera.width_px * scene.rig.camera.height_px
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""

@@ -7,15 +7,15 @@ through the pixel's centre meets the sample.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.pixels import irradiance, pixel_geometry
+from simulator.light.costs import GEOMETRY_S, MITSUBA_VALUE_S, ONE_BY_ONE_S, value_s
 from simulator.light.evaluator import Evaluator, Method, Rendering
-from simulator.light.finite_size import point_error
+from simulator.light.finite_size import pose_error
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance, mitsuba_reflectance
 from simulator.materials import NOT_RENDERED
@@ -79,13 +79,7 @@ class PointMethod(Method):
 
     def leaves_out(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> float:
         """Estimate what a lamp, a pixel and a pupil with a size would change; see `Method.leaves_out`."""
-        return _left_out(mi, scene, tuple(angles_rad))
-
-
-@lru_cache(maxsize=4)
-def _left_out(mi: Any, scene: Scene, angles_rad: tuple[float, ...]) -> float:
-    """Ask once a pose: several methods leave out the same."""
-    return point_error(scene, material_reflectance(mi, scene.material), angles_rad)
+        return pose_error(mi, scene, tuple(angles_rad))
 
 
 class ClosedForm(PointMethod):
@@ -100,7 +94,8 @@ class ClosedForm(PointMethod):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
-        return 5e-4 + 3.5e-7 * scene.rig.camera.width_px * scene.rig.camera.height_px
+        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+        return 3e-4 + (GEOMETRY_S + value_s(scene.material, vector=vector)) * pixels
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
@@ -118,8 +113,8 @@ class PixelByPixel(PointMethod):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
-        per_pixel = 3.5e-7 if vector else 1.5e-6
-        return 2e-3 + per_pixel * scene.rig.camera.width_px * scene.rig.camera.height_px
+        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+        return 7e-4 + (GEOMETRY_S + (MITSUBA_VALUE_S if vector else ONE_BY_ONE_S)) * pixels
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""

@@ -26,6 +26,7 @@ from rig.angles import unit
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths
+from simulator.light.costs import value_s
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.hemisphere import hemisphere
 from simulator.light.paths import LightPaths
@@ -49,7 +50,8 @@ SIDE_PATCHES = 8
 _LOBE_RAD = (0.15, 0.75)
 """Angles from the mirror direction up to which, and from which on, nodes are in rings, and on walls."""
 _NARROWEST_RAD = 1e-4
-_SECONDS_PER_NODE = 3e-7
+_SECONDS_PER_NODE, _POSE_S = 3e-7, 2e-3
+"""Time of a node besides that of its f_r, and of a pose."""
 
 
 class Level(NamedTuple):
@@ -382,14 +384,14 @@ class RadiosityMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of one pose; see `Method`."""
-        levels = LEVELS[: 2 if tolerance >= 1e-2 else 3 if tolerance >= 1e-3 else len(LEVELS)]
+        levels = LEVELS[: 2 if tolerance >= 3e-3 else 3 if tolerance >= 5e-4 else len(LEVELS)]
         glossy = Event.GLOSSY in scene.events
         nodes = sum(
             level.points**2 * (3 * (SIDE_PATCHES * level.wall) ** 2 + glossy * level.rings * level.turns)
             for level in levels
         )
-        one_by_one = not vector and not scene.material.has_closed_form
-        return nodes * (3e-6 if one_by_one else _SECONDS_PER_NODE)
+        asked = value_s(scene.material, vector=vector) if glossy else 0.0
+        return _POSE_S + nodes * (_SECONDS_PER_NODE + asked)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Radiosity:
         """Set it to work; see `Method`."""

@@ -6,31 +6,39 @@ images. Each point of the sample is followed back, mirror by mirror: its way to 
 last mirror's rectangle, from there to the image before it the mirror before, and so to the lamp, and neither
 the sample nor another mirror may stand in a part of the way.
 
-The mean over the lamp's disc and the pixel's footprint is taken with nodes that are refined until the picture
-changes by less than the tolerance; it is what makes the window's edge soft. The entrance pupil is a point.
+The mean over the lamp's disc, the pixel's footprint and the entrance pupil is taken with few nodes of a
+product rule where the picture is smooth, and along the windows' edges, which it makes soft, with ever more
+nodes that are evenly spread in all six dimensions at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from analysis.instrument import disc_nodes
 from rig.angles import unit
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths, mirror_faces_sample, walks
+from simulator.light.costs import value_s
+from simulator.light.direct_view import extents_of, lens_of, meet, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event, PlanarMirror, Scene
+from simulator.light.sparse_rules import CENTRES, Rule, product_rule, sparse_rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from simulator.light.direct_view import Lens, View
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
@@ -39,11 +47,17 @@ Bools = NDArray[np.bool_]
 
 MOST_IMAGES = 6
 """Mirrors in a row that are followed: two of reflectance 0.9 that face each other have lost half by then."""
-FINEST = 8
-"""Nodes of the lamp's disc along its radius, and of the pixel along its side, at which refining ends."""
+_SPREAD = (32, 128, 512, 2048)
+"""Nodes of lamp, pixel and pupil together along the edges of windows."""
+_FIRST = sparse_rule(frozenset({CENTRES, *CENTRES.children()}))
+"""Four nodes in each part, one after the other."""
+_SECONDS_PER_NODE = 6e-7
+"""Time of one node of one image in one pixel besides that of its f_r."""
+_EDGES, _EDGE_ERROR = 6.0, 0.4
+"""Pixels along a window's edges, in rows of the frame, and the error of one node there."""
 _TOUCHING = 1e-9
-_SECONDS_PER_NODE = 2e-7
-"""Time of one node of one image in one pixel with a closed form, on the machine of the benchmark."""
+_SETTLED = 0.3
+"""Change of a pixel, in tolerances of the mean, below which it is not refined further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +111,7 @@ class VirtualLamp:
         return passes, [np.broadcast_to(lamp_mm, points_mm.shape), *reversed(corners)]
 
 
+@lru_cache(maxsize=64)
 def virtual_lamps(scene: Scene, paths: LightPaths) -> tuple[VirtualLamp, ...]:
     """Every lamp in mirrors that can light the sample and is asked for, fewest mirrors first.
 
@@ -133,23 +148,60 @@ class VirtualLights(Evaluator):
     def __init__(self, scene: Scene, reflectance: Reflectance, paths: LightPaths) -> None:
         self._scene, self._reflectance = scene, reflectance
         self._kinematics = Kinematics(scene.rig)
+        self._lens = lens_of(scene.rig)
         self.lamps = virtual_lamps(scene, paths)
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
         """Compute the radiance of a pose; see `Evaluator`."""
+        scene, camera = self._scene, self._scene.rig.camera
         angles = np.asarray(angles_rad, dtype=np.float64)
-        fineness, coarse, lit = 1, self._picture(angles, 1), self._lit(angles)
-        while True:
-            fineness *= 2
-            fine = self._picture(angles, fineness)
-            error = _change(fine, coarse, lit)
-            if error <= tolerance or fineness >= FINEST:
+        on_sample = pixel_geometry(scene.rig, angles).on_sample
+        radiance = np.zeros((*on_sample.shape, 3))
+        extents = extents_of(scene.rig)
+        extents = extents if scene.lamp_cosine else replace(extents, lamp_radius_mm=0.0)
+        view = view_of(self._kinematics.frames(angles), extents)
+        # A pixel whose centre is on the sample is taken to see it everywhere.
+        lens = self._lens[np.flatnonzero(on_sample)]
+        coarse, picture = (self.mean(view, lens, rule) for rule in (product_rule(CENTRES), _FIRST))
+        change, nodes = picture - coarse, len(_FIRST.weights)
+        error = _relative(change, picture)
+        for count in _SPREAD:
+            if error <= tolerance:
                 break
-            coarse = fine
-        left = self._left_out()
-        nodes = fineness**2 * (4 * fineness**2 if self._scene.lamp_cosine else 1)
-        did = f"{len(self.lamps)} images of the lamp, {nodes} nodes of lamp and pixel"
-        return Rendering(fine, error + left, did)
+            open_ = _unsettled(on_sample, change, _SETTLED * tolerance * max(0.0, float(picture.mean())))
+            fine = self.mean(view, lens[np.flatnonzero(open_)], spread_rule(count))
+            change[open_], picture[open_], nodes = fine - picture[open_], fine, count
+            error = _relative(change, picture)
+        radiance[on_sample] = np.maximum(picture, 0.0)
+        did = f"{len(self.lamps)} images of the lamp, up to {nodes} nodes of lamp, pixel and pupil"
+        return Rendering(
+            radiance.reshape(camera.height_px, camera.width_px, 3), error + self._left_out(), did
+        )
+
+    def mean(self, view: View, lens: Lens, rule: Rule) -> Array:
+        """Mean radiance of pixels over a rule's nodes.
+
+        Parameters
+        ----------
+        view : View
+            Of a pose.
+        lens : Lens
+            N pixels.
+        rule : Rule
+            Nodes of lamp, pixel and pupil.
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+        """
+        total = np.zeros((len(lens), 3))
+        for node, weight in zip(rule.nodes, rule.weights, strict=True):
+            points, w = meet(view, lens, node[2:4])
+            points = np.where(w[:, None] > 0.0, points, 0.0)
+            wo = unit(view.camera_mm + node[4:] @ view.pupil_disc_mm - points)
+            place = view.light_mm + node[:2] @ view.light_disc_mm
+            total += self._lit(view.light_mm, place, weight * view.strength, points, wo)
+        return total
 
     def _left_out(self) -> float:
         """Bound what images of more mirrors would add, relative to those that were followed."""
@@ -160,27 +212,6 @@ class VirtualLights(Evaluator):
         if not deepest:
             return 0.0
         return float(brightest**MOST_IMAGES * len(deepest) / max(1.0 - brightest, 1e-3))
-
-    def _lit(self, angles: Array) -> Bools:
-        return pixel_geometry(self._scene.rig, angles).on_sample
-
-    def _picture(self, angles: Array, fineness: int) -> Array:
-        """Radiance of all pixels, each the mean over so many rows and columns inside it."""
-        camera = self._scene.rig.camera
-        rows, cols = (
-            (np.arange(n * fineness) + 0.5) / fineness - 0.5 for n in (camera.height_px, camera.width_px)
-        )
-        pixels = pixel_geometry(self._scene.rig, angles, rows=rows, cols=cols)
-        # A pixel whose centre is on the sample is taken to see it everywhere.
-        whole = np.repeat(np.repeat(self._lit(angles), fineness, axis=0), fineness, axis=1)
-        seen = whole & np.isfinite(pixels.light_distance_mm)
-        points = np.column_stack([pixels.position_mm[seen], np.zeros(np.count_nonzero(seen))])
-        radiance = np.zeros((*seen.shape, 3))
-        radiance[seen] = self.radiance(
-            self._kinematics.frames(angles).light_mm, points, pixels.wo[seen], fineness
-        )
-        parts = radiance.reshape(camera.height_px, fineness, camera.width_px, fineness, 3)
-        return np.asarray(parts.mean(axis=(1, 3)))
 
     def radiance(self, light_mm: Array, points_mm: Array, wo: Array, fineness: int) -> Array:
         """Radiance of points of the sample.
@@ -202,17 +233,23 @@ class VirtualLights(Evaluator):
         """
         radiance = np.zeros((len(points_mm), 3))
         for place, intensity in self._lamp_nodes(light_mm, fineness):
-            for lamp in self.lamps:
-                passes, corners = lamp.ways(place, points_mm)
-                passes &= ~self._hidden(lamp, corners, passes)
-                if not passes.any():
-                    continue
-                way = lamp.image(place) - points_mm[passes]
-                distance = np.linalg.norm(way, axis=1)
-                wi = way / distance[:, None]
-                cosine = self._emitted(light_mm, place, corners[1][passes])
-                strength = lamp.reflectance * intensity * cosine * np.maximum(wi[:, 2], 0.0) / distance**2
-                radiance[passes] += self._reflectance(wi, wo[passes]) * strength[:, None]
+            radiance += self._lit(light_mm, place, intensity, points_mm, wo)
+        return radiance
+
+    def _lit(self, light_mm: Array, place: Array, intensity: float, points_mm: Array, wo: Array) -> Array:
+        """Radiance (N, 3) of points lit by one place of the lamp."""
+        radiance = np.zeros((len(points_mm), 3))
+        for lamp in self.lamps:
+            passes, corners = lamp.ways(place, points_mm)
+            passes &= ~self._hidden(lamp, corners, passes)
+            if not passes.any():
+                continue
+            way = lamp.image(place) - points_mm[passes]
+            distance = np.linalg.norm(way, axis=1)
+            wi = way / distance[:, None]
+            cosine = self._emitted(light_mm, place, corners[1][passes])
+            strength = lamp.reflectance * intensity * cosine * np.maximum(wi[:, 2], 0.0) / distance**2
+            radiance[passes] += self._reflectance(wi, wo[passes]) * strength[:, None]
         return radiance
 
     def _lamp_nodes(self, light_mm: Array, fineness: int) -> list[tuple[Array, float]]:
@@ -248,6 +285,27 @@ class VirtualLights(Evaluator):
         return hidden
 
 
+@cache
+def spread_rule(count: int, seed: int = 0) -> Rule:
+    """Return nodes spread evenly over lamp, pixel and pupil: Sobol's points (1967), scrambled.
+
+    Parameters
+    ----------
+    count : int
+        How many, a power of two.
+    seed : int
+        Of the scrambling.
+    """
+    from scipy.stats.qmc import Sobol
+
+    u = Sobol(6, rng=seed).random(count)
+    lamp, pupil = (
+        np.sqrt(u[:, k, None]) * np.column_stack([np.cos(a := 2.0 * np.pi * u[:, k + 1]), np.sin(a)])
+        for k in (0, 4)
+    )
+    return Rule(np.column_stack([lamp, u[:, 2:4] - 0.5, pupil]), np.full(count, 1.0 / count))
+
+
 def crosses_disc(start: Array, end: Array, radius_mm: float) -> Bools:
     """Tell which straight ways (..., 3) pass through the sample's disc.
 
@@ -281,10 +339,17 @@ def _met(mirror: PlanarMirror, start: Array, end: Array) -> tuple[Array, Array, 
     return met, share, inside
 
 
-def _change(fine: Array, coarse: Array, lit: Bools) -> float:
-    """RMS difference over the pixels of the sample, relative to their mean."""
-    mean = float(fine[lit].mean()) if lit.any() else 0.0
-    return float(np.sqrt(np.mean(np.square(fine[lit] - coarse[lit])))) / mean if mean > 0.0 else 0.0
+def _unsettled(on_sample: Bools, change: Array, level: float) -> Bools:
+    """Tell which pixels (N,) of the sample the last step changed, along the windows' edges, or one beside."""
+    moved = np.zeros(on_sample.shape, dtype=bool)
+    moved[on_sample] = (np.abs(change) > level).any(axis=-1)
+    return np.asarray(binary_dilation(moved, np.ones((3, 3)))[on_sample])
+
+
+def _relative(change: Array, picture: Array) -> float:
+    """RMS of a change (N, 3), relative to the mean."""
+    mean = float(picture.mean()) if picture.size else 0.0
+    return float(np.sqrt(np.mean(np.square(change)))) / mean if mean > 0.0 else 0.0
 
 
 class VirtualLightsMethod(Method):
@@ -306,12 +371,12 @@ class VirtualLightsMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of one pose; see `Method`."""
-        fineness = 2 if tolerance >= 1e-2 else FINEST // 2
         lamps = len(virtual_lamps(scene, paths))
-        nodes = fineness**2 * (4 * fineness**2 if scene.lamp_cosine else 1)
-        one_by_one = not vector and not scene.material.has_closed_form
-        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
-        return lamps * nodes * pixels * (3e-6 if one_by_one else _SECONDS_PER_NODE)
+        width, height = scene.rig.camera.width_px, scene.rig.camera.height_px
+        edges = min(1.0, _EDGES / min(width, height))
+        needed = [count for count in _SPREAD if _EDGE_ERROR * edges**0.5 / count**0.6 > tolerance]
+        nodes = len(_FIRST.weights) + 1 + edges * sum(_SPREAD[: len(needed) + 1])
+        return lamps * nodes * width * height * (_SECONDS_PER_NODE + value_s(scene.material, vector=vector))
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> VirtualLights:
         """Set it to work; see `Method`."""

@@ -8,7 +8,7 @@ import pytest
 
 from rig.description import Camera, default_rig
 from rig.errors import Refused
-from simulator.light.choice import Chooser, Decision
+from simulator.light.choice import MOST_SKIPPED, Chooser, Decision
 from simulator.light.classes import light_paths
 from simulator.light.evaluator import Evaluator, Method
 from simulator.light.methods import METHODS
@@ -57,13 +57,13 @@ class Fake(Method):
 
 
 def check(scene: Scene, decision: Decision) -> None:
-    """Every path once, and what is skipped within half the tolerance."""
+    """Every path once, and what is skipped within its part of the tolerance."""
     rest = light_paths(scene)
     for paths in (*(part.paths for part in decision.parts), *(c.paths for c in decision.skipped)):
         assert paths <= rest
         rest -= paths
     assert not rest
-    assert decision.skipped_bound <= 0.5 * decision.tolerance
+    assert decision.skipped_bound <= MOST_SKIPPED * decision.tolerance
     for part in decision.parts:
         assert part.paths <= part.method.covers
 
