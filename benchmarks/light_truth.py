@@ -1,0 +1,133 @@
+"""What a scene's pixels see, by means of their own: nothing that the choice can choose between is believed.
+
+Direct light is the float64 solver's, a full product of rules over lamp, pixel and pupil; light of the lamp
+in a mirror is the mean over as many nodes of its virtual image's; all other light is a converged render,
+whose noise is known and taken off the squared error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion, uniform_filter
+
+from rig.kinematics import Kinematics
+from rig.pixels import pixel_geometry
+from simulator.light.classes import light_paths
+from simulator.light.direct_float64 import Float64Nodes
+from simulator.light.direct_view import extents_of, lens_of, view_of
+from simulator.light.path_classes import PathClasses
+from simulator.light.paths import LightPaths
+from simulator.light.reflectance import material_reflectance
+from simulator.light.sparse_rules import Levels, product_rule
+from simulator.light.virtual_lights import VirtualLights, spread_rule
+
+if TYPE_CHECKING:
+    from benchmarks.light_scenes import Drawn
+
+Array = NDArray[np.float64]
+
+LEVELS = Levels(2, 1, 2)
+GRID = 12
+"""Rows and columns of pixels that are compared."""
+EDGE_PX = 2
+NODES = 4096
+RENDERS, SAMPLES, LONGEST = 4, 64, 8
+MOST_ROUNDS = 4
+"""How often the render is made four times longer, as long as its noise counts."""
+BLOCK = 3
+"""Pixels along each side of the block over which rendered light, which is smooth, is averaged."""
+DIRECT, IMAGES = LightPaths("LDE"), LightPaths("LS+DE")
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Radiance of some pixels.
+
+    Attributes
+    ----------
+    pixels : ndarray of int, shape (N,)
+        Which, in rows one after the other.
+    radiance : ndarray, shape (N, 3)
+    variance : float
+        Mean variance of its noise.
+    """
+
+    pixels: NDArray[np.intp]
+    radiance: Array
+    variance: float
+
+    @property
+    def mean(self) -> float:
+        """Mean radiance."""
+        return float(self.radiance.mean())
+
+    @property
+    def resolution(self) -> float:
+        """Relative error that its noise hides."""
+        spread = self.variance * np.sqrt(2.0 / max(1, len(self.pixels)))
+        return float(np.sqrt(spread)) / self.mean
+
+    def error(self, image: Array) -> float:
+        """RMS error of an image (height, width, 3), relative to the mean radiance, without the noise."""
+        squared = np.mean(np.square(image.reshape(-1, 3)[self.pixels] - self.radiance)) - self.variance
+        return float(np.sqrt(max(0.0, squared))) / self.mean
+
+
+def truth_of(mi: Any, drawn: Drawn, tolerance: float) -> Truth | None:
+    """Compute what pixels see; None where too little of the sample is seen.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba in an LLVM variant, `simulator.bsdfs` registered.
+    drawn : Drawn
+    tolerance : float
+        The smallest that is to be told from larger errors.
+    """
+    scene, pose = drawn.scene, np.asarray(drawn.pose)
+    seen = pixel_geometry(scene.rig, pose).on_sample
+    inside = binary_erosion(seen, iterations=EDGE_PX, border_value=1)
+    if np.count_nonzero(inside) < GRID:
+        return None
+    rows, cols = (np.unique(np.linspace(1, n - 2, GRID).astype(int)) for n in inside.shape)
+    pixels = (rows[:, None] * inside.shape[1] + cols).ravel()
+    pixels = pixels[inside.ravel()[pixels]]
+    if len(pixels) < GRID:
+        pixels = np.flatnonzero(inside)[:: max(1, np.count_nonzero(inside) // GRID**2)]
+    radiance = _direct(mi, drawn, pixels) + _images(mi, drawn, pixels)
+    rest = light_paths(scene) - DIRECT - IMAGES
+    if not rest:
+        return Truth(pixels, radiance, 0.0)
+    traced = PathClasses(mi, scene, [rest], longest=LONGEST, samples_per_pixel=SAMPLES)
+    renders = RENDERS
+    for _ in range(MOST_ROUNDS):
+        found = traced.estimates(drawn.pose, renders)[0]
+        smooth = uniform_filter(found.mean, (BLOCK, BLOCK, 1)).reshape(-1, 3)[pixels]
+        variance = np.square(found.standard_error).reshape(-1, 3)[pixels].mean() / BLOCK**2
+        truth = Truth(pixels, radiance + smooth, float(variance))
+        if truth.resolution < 0.3 * tolerance:
+            break
+        renders *= 4
+    return truth
+
+
+def _direct(mi: Any, drawn: Drawn, pixels: NDArray[np.intp]) -> Array:
+    scene, extents = drawn.scene, extents_of(drawn.scene.rig)
+    view = view_of(Kinematics(scene.rig).frames(np.asarray(drawn.pose)), extents)
+    nodes = Float64Nodes(material_reflectance(mi, scene.material), extents, scene.sample_radius_mm)
+    return np.asarray(nodes.radiance([view], lens_of(scene.rig)[pixels], product_rule(LEVELS))[0])
+
+
+def _images(mi: Any, drawn: Drawn, pixels: NDArray[np.intp]) -> Array:
+    """Light of the lamp's images, whatever their windows' edges."""
+    scene, pose = drawn.scene, np.asarray(drawn.pose)
+    radiance = np.zeros((len(pixels), 3))
+    lights = VirtualLights(scene, material_reflectance(mi, scene.material), IMAGES)
+    if not lights.lamps:
+        return radiance
+    view = view_of(Kinematics(scene.rig).frames(pose), extents_of(scene.rig))
+    return lights.mean(view, lens_of(scene.rig)[pixels], spread_rule(NODES, seed=1))
