@@ -22,6 +22,7 @@ EXPECTED_S = {
     "data_mwir": 60.0,
     "data_exchange": 10.0,
     "data_rgl": 200.0,
+    "data_readers": 120.0,
     "data_damaged": 150.0,
     "doctor": 300.0,
 }

@@ -95,7 +95,7 @@ COLUMNS = 110
 HEAD = """# Other laboratories' data, in numbers
 
 Written by `python -m benchmarks.data_page docs numbers.json` from what
-`gonio bench data --json --plots docs/data > numbers.json` printed (about a quarter of an hour). The
+`gonio bench data --json --plots docs/data > numbers.json` printed (about half an hour). The
 measurements are public (docs/formats.md names the formats) and not part of the project.
 """
 
