@@ -65,12 +65,6 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         ),
     ),
     "data_readers": (
-        "Large texts",
-        "Every reader of text at its size limit, whole and with its last number damaged: processor "
-        "time and memory of a process that reads one such file.",
-        None,
-    ),
-    "data_readers": (
         "Texts at their size limit",
         "One file of each kind, as many rows as fit; the last number damaged too. Short rows make the most "
         "samples: ten characters each.",
