@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 TOP, MOST, MOST_ROBUST = 100, 300, 900
 """How many of the brightest samples, and at most how many of the others, tell the noise."""
 ROUNDS, SETTLED = 30, 0.05
+MOST_IN_A_ROUND = 100.0
+"""Largest growth of a datum's variance in a round: one that a law all but forbids would decide the next."""
 ALIKE = 40
 """Data of like brightness of which half may be gross errors."""
 NORMAL = 1.4826**2
@@ -69,7 +71,7 @@ def noise_variance(
     flat, constant, photons, signal = share.T
     variance = flat + np.square(slope) * (constant + bright * (photons + bright * signal))
     # Where a model is black, noise in proportion to it would be none.
-    return np.maximum(variance, LEAST * (ones[: len(rows)] @ square[rows]) / len(rows))
+    return np.asarray(np.maximum(variance, LEAST * (ones[: len(rows)] @ square[rows]) / len(rows)))
 
 
 def _terms(bright: Array, slope: Array) -> Array:
@@ -95,18 +97,23 @@ def _shares(square: Array, terms: Array, used: NDArray[np.bool_], *, robust: boo
     groups = [_groups(each[-1], known) for each, known in zip(terms, used, strict=True)] if robust else []
     # Begin with noise of which every term has its part.
     share = 1.0 / np.maximum(terms.mean(axis=2), LEAST)
+    best, least = share, np.full(len(share), np.inf)
     for _ in range(ROUNDS):
         variance = (share[:, None] @ terms)[:, 0] + LEAST
-        weighted = terms * (used / variance)[:, None]
         standard = square / variance
         for c, each in enumerate(groups):
             for group in each:
                 standard[c, group] = NORMAL * np.median(standard[c, group])
-        before = share
+        # Rounds may overshoot; the one under which the residuals are most likely counts.
+        unlikely = np.einsum("cn,cn->c", used, np.log(variance) + standard)
+        better = unlikely < least
+        best, least = np.where(better[:, None], share, best), np.where(better, unlikely, least)
+        before, weighted = share, terms * (used / variance)[:, None]
+        standard = np.minimum(standard, MOST_IN_A_ROUND)
         share = _positive(weighted @ weighted.transpose(0, 2, 1), (weighted @ standard[..., None])[..., 0])
         if np.all(np.abs(share - before) <= SETTLED * share):
             break
-    return np.asarray(share * unit)
+    return np.asarray(best * unit)
 
 
 def _groups(brightness: Array, used: NDArray[np.bool_]) -> list[NDArray[np.intp]]:

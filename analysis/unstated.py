@@ -142,6 +142,9 @@ def bend(loss: Loss, f: Array, u: Array) -> Array:
     """
     if loss.linear:
         return np.zeros_like(f)
+    # Where noise is as large as f no second order holds, and no measure is off by more than half the noise.
+    step = np.maximum(np.minimum(u, 0.5 * np.abs(f)), np.finfo(float).tiny)
     weight = loss.weight()
-    mean = 0.25 * u * (loss.slope(f + u) - loss.slope(f - u))
-    return np.asarray(np.divide(mean, weight, out=mean, where=weight > 0.0))
+    mean = 0.25 * np.square(u) * (loss.slope(f + step) - loss.slope(f - step)) / step
+    mean = np.divide(mean, weight, out=np.zeros_like(f), where=weight > 0.0)
+    return np.asarray(np.clip(mean, -0.5 * u, 0.5 * u))

@@ -153,3 +153,16 @@ def test_as_many_data_as_parameters_say_nothing_of_their_errors():
     assert np.isinf(fit(few, "cook-torrance").u["m"])
     one = make_samples(wi, wo, np.array([[0.1, 0.1], [0.1, np.nan]]))
     assert fit(one, "lambert").u["kd"][0] < 1e-9
+
+
+def test_residuals_as_large_as_the_lobe_leave_u_finite():
+    """Catches a second order taken where noise exceeds the value: u of a mirror's width of 350 widths."""
+    random = np.random.default_rng(6)
+    theta_i = np.radians(random.uniform(5.0, 70.0, 600))
+    theta_o = np.abs(theta_i + 0.05 * random.standard_normal(600))
+    wi = spherical_to_direction(theta_i, np.full(600, np.pi))
+    wo = spherical_to_direction(theta_o, 0.05 * random.standard_normal(600))
+    exact = MODELS["ggx"](kd=0.01, ks=1.0, alpha=0.01, f0=0.9).evaluate(wi, wo)
+    samples = make_samples(wi, wo, exact * np.exp(1.2 * random.standard_normal(exact.shape)))
+    result = fit(samples, "ggx", loss="log")
+    assert 0.02 < result.u["alpha"] / result.parameters["alpha"] < 0.3
