@@ -211,7 +211,7 @@ def _stopped(
         wanted = np.where(free, -rest / length, step * length)
         step = np.linalg.solve(matrix, wanted[..., None])[..., 0] / length
         target = np.clip(x + step, low, high)
-        beyond = free & (target != x + step)
+        beyond = free & (target != x + step) & (step != 0.0)
         if not beyond.any():
             break
         if not together:
