@@ -71,22 +71,7 @@ class MitsubaNodes:
         parameters.update()
 
     def radiance(self, views: Sequence[View], lens: Lens, rule: Rule) -> Array:
-        """Mean radiance of pixels over a rule's nodes.
-
-        Parameters
-        ----------
-        views : sequence of View
-            P poses.
-        lens : Lens
-            N pixels.
-        rule : Rule
-            Nodes of lamp, pixel and pupil.
-
-        Returns
-        -------
-        ndarray, shape (P, N, 3)
-            Times the share of the pixel that the sample fills.
-        """
+        """Mean radiance (P, N, 3) of N pixels for P views; see `Float64Nodes.radiance`."""
         import drjit as dr
 
         index = dr.arange(self._mi.UInt32, len(views) * len(lens))

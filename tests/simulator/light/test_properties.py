@@ -210,30 +210,6 @@ class TestWalls:
 
 
 class TestThreePoint:
-    def box(self, albedo: float, nodes: int) -> tuple[list[Surface], Array, Array]:
-        """Return the inside of a cube, points of all walls and their areas."""
-        walls = []
-        for axis in range(3):
-            for sign in (-1.0, 1.0):
-                across, up = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-                # across x up points inside.
-                walls.append(Surface(sign * np.eye(3)[axis], -sign * across, up, albedo, nodes))
-        rules = [wall.rule() for wall in walls]
-        return walls, np.stack([points for points, _ in rules]), rules[0][1]
-
-    def test_every_bounce_keeps_the_albedo(self) -> None:
-        """Would catch light that is lost, or made, from one event to the next in a closed box."""
-        albedo = 0.6
-        walls, points, areas = self.box(albedo, 5)
-        solver = ThreePoint(walls, PointLamp((0.1, -0.2, 0.15), 1.0))
-        flux = np.zeros(4)
-        for number, wall in enumerate(walls):
-            inward = np.tile(wall.frame[:, 2], (len(areas), 1))
-            leaving = solver.camera_radiance(number, points[number], inward, len(flux))[..., 0]
-            flux += np.pi * leaving @ areas
-        assert flux[0] == pytest.approx(4.0 * np.pi * albedo, rel=2e-3)
-        np.testing.assert_allclose(flux[1:] / flux[:-1], albedo, rtol=2e-2)
-
     @COUNT
     def test_square_linearity_and_origin(self, count: int) -> None:
         """Would catch g without its square, power that does not count once, or a place that matters."""

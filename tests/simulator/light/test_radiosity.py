@@ -76,7 +76,7 @@ class TestWalls:
 
 class TestAgainstThreePoint:
     @pytest.mark.parametrize("material", [PAINT, WHITE])
-    def test_the_first_bounces_agree(self, material: str) -> None:
+    def test_the_first_bounces_agree(self, material: str, cube: Any) -> None:
         """Would catch a lost cosine, the wrong lobe or a shadow in the wrong place; class by class."""
         what = scene(material, 0.2)
         letter = "Dl" if material == WHITE else "Dg"
@@ -85,7 +85,7 @@ class TestAgainstThreePoint:
         radius = what.sample_radius_mm
         disc = Surface([0, 0, 0], [radius, 0, 0], [0, radius, 0], f_r, 2, round_=True)
         lamp = PointLamp(frames.light_mm, what.lamp_intensity)
-        solver = ThreePoint([disc, *_cube(HALF_MM, 0.2, 9)], lamp)
+        solver = ThreePoint([disc, *cube(HALF_MM, 0.2, 9)], lamp)
         wo = unit(frames.camera_mm)[None]
         _, once, twice = solver.camera_radiance(0, np.zeros((1, 3)), wo, 3)[:, 0, 0]
         found = [
@@ -164,20 +164,3 @@ class TestAgainstMitsuba:
         noise = np.sqrt(np.mean(np.square(path.standard_error[lit])) / lit.sum())
         found = evaluator(what, "LD*DlDgE").render(ANGLES, 1e-3)
         assert found.radiance[lit].mean() == pytest.approx(stray, abs=4.0 * noise + 3e-3 * stray)
-
-
-def _cube(half_mm: float, albedo: float, nodes: int) -> list[Surface]:
-    """Return a cube, bright inside; its walls are cut where the sample's horizon is."""
-    walls = []
-    for axis, side in np.ndindex(3, 2):
-        normal = np.zeros(3)
-        normal[axis] = 1.0 - 2.0 * side
-        across, up = np.roll(np.eye(3), -1 - axis, axis=0)[:2]
-        if np.cross(across, up) @ normal < 0.0:
-            across, up = up, across
-        lifts = (0.0,) if axis == 2 else (-0.5, 0.5)
-        for lift in lifts:
-            shares = [half_mm * (0.5 if axis != 2 and d[2] else 1.0) * d for d in (across, up)]
-            centre = -half_mm * normal + np.array([0.0, 0.0, lift * half_mm])
-            walls.append(Surface(centre, *shares, albedo, nodes))
-    return walls

@@ -37,22 +37,6 @@ def shares_of(scene: Scene) -> Shares:
     return Shares(scene, closed_form_reflectance(scene.material))
 
 
-def walls(half_mm: float, albedo: float, nodes: int) -> list[Surface]:
-    """Return a cube, bright inside, its walls cut where the sample's horizon is."""
-    found = []
-    for axis, side in np.ndindex(3, 2):
-        normal = np.zeros(3)
-        normal[axis] = 1.0 - 2.0 * side
-        across, up = np.roll(np.eye(3), -1 - axis, axis=0)[:2]
-        if np.cross(across, up) @ normal < 0.0:
-            across, up = up, across
-        for lift in (0.0,) if axis == 2 else (-0.5, 0.5):
-            sides = [half_mm * (0.5 if axis != 2 and way[2] else 1.0) * way for way in (across, up)]
-            centre = -half_mm * normal + np.array([0.0, 0.0, lift * half_mm])
-            found.append(Surface(centre, *sides, albedo, nodes))
-    return found
-
-
 class TestClasses:
     @pytest.mark.parametrize(
         ("events", "housing", "mirrors", "expression"),
@@ -95,7 +79,7 @@ class TestClasses:
 
 class TestHousing:
     @pytest.mark.parametrize("seed", range(4))
-    def test_bounds_hold_and_are_of_use(self, seed: int) -> None:
+    def test_bounds_hold_and_are_of_use(self, seed: int, cube: Any) -> None:
         """Would catch a bound below the truth, for which light would be skipped, or far above it."""
         rng = np.random.default_rng(seed)
         albedo = float(rng.uniform(0.03, 0.6))
@@ -107,7 +91,7 @@ class TestHousing:
         scene = scene_of(spec, housing=Housing(albedo, half_mm), lamp_cosine=False)
         shares = shares_of(scene)
         angles = np.radians([rng.uniform(-70, 70), rng.uniform(-180, 179), rng.uniform(-70, 70), 0.0])
-        found = three_point_shares(scene, angles)
+        found = three_point_shares(scene, angles, cube)
         bounds = dict(zip((c.name for c in shares.classes), shares.bounds(angles), strict=True))
         longer = bounds.pop("4 events and more")
         by_events = [
@@ -122,7 +106,7 @@ class TestHousing:
         assert by_events[2] < 20.0 * found[1]
 
 
-def three_point_shares(scene: Scene, angles: Any) -> list[float]:
+def three_point_shares(scene: Scene, angles: Any, cube: Any) -> list[float]:
     """Shares of the light with 2, 3, ... 6 events, at the sample's centre, of the channel of the largest."""
     assert isinstance(scene.material, ClosedFormMaterial)
     assert scene.housing is not None
@@ -132,7 +116,7 @@ def three_point_shares(scene: Scene, angles: Any) -> list[float]:
         [0, 0, 0], [radius, 0, 0], [0, radius, 0], closed_form_reflectance(scene.material), 2, round_=True
     )
     solver = ThreePoint(
-        [disc, *walls(scene.housing.half_size_mm, scene.housing.albedo, 6)],
+        [disc, *cube(scene.housing.half_size_mm, scene.housing.albedo, 6)],
         PointLamp(frames.light_mm, scene.lamp_intensity),
     )
     wo = unit(frames.camera_mm)[None]

@@ -22,25 +22,6 @@ def sample(reflectance: Any, nodes: int = 2) -> Surface:
     return Surface([0, 0, 0], [RADIUS_MM, 0, 0], [0, RADIUS_MM, 0], reflectance, nodes, round_=True)
 
 
-def housing(half_mm: float, albedo: Any, nodes: int) -> list[Surface]:
-    """Return a cube, bright inside; its walls are cut where the sample's horizon is."""
-    walls = []
-    for axis, side in np.ndindex(3, 2):
-        normal = np.zeros(3)
-        normal[axis] = 1.0 - 2.0 * side
-        across, up = np.roll(np.eye(3), -1 - axis, axis=0)[:2]
-        if np.cross(across, up) @ normal < 0.0:
-            across, up = up, across
-        centre = -half_mm * normal
-        if axis == 2:
-            walls.append(Surface(centre, half_mm * across, half_mm * up, albedo, nodes))
-            continue
-        for lift in (-0.5, 0.5):
-            shares = [half_mm * (0.5 if direction[2] else 1.0) * direction for direction in (across, up)]
-            walls.append(Surface(centre + np.array([0.0, 0.0, lift * half_mm]), *shares, albedo, nodes))
-    return walls
-
-
 def glossy(wi: Any, wo: Any) -> Any:
     """Return f_r of a glossy paint, equal in all channels."""
     values = MODELS["cook-torrance"](kd=0.2, ks=0.6, m=0.3, ior=1.5).evaluate(wi, wo)
@@ -71,9 +52,9 @@ class TestClosedForms:
         assert found[0] == 0.0
         assert found[1] == pytest.approx(expected, rel=1e-6)
 
-    def test_a_closed_housing_keeps_its_energy(self) -> None:
+    def test_a_closed_housing_keeps_its_energy(self, cube: Any) -> None:
         """Would catch light lost or made at the edges: in a cube each event leaves the albedo's share."""
-        walls = housing(100.0, 0.5, 6)
+        walls = cube(100.0, 0.5, 6)
         solver = ThreePoint(walls, PointLamp([0.0, 0.0, 0.0], 1.0))
         points, areas = (np.concatenate(parts) for parts in zip(*(w.rule() for w in walls), strict=True))
         received = []
@@ -99,22 +80,22 @@ class TestClosedForms:
 
 
 class TestRefinement:
-    def test_any_reflectance_goes_the_same_way_as_an_albedo(self) -> None:
+    def test_any_reflectance_goes_the_same_way_as_an_albedo(self, cube: Any) -> None:
         """Would catch the general branch taking light from the wrong side."""
         lamp = PointLamp([150.0, 50.0, 400.0], 500.0**2)
         wo = np.array([unit([-0.3, 0.1, 0.9])])
         plain, general = (
-            ThreePoint([sample(0.5), *housing(700.0, albedo, 3)], lamp).camera_radiance(0, CENTRE, wo, 4)
+            ThreePoint([sample(0.5), *cube(700.0, albedo, 3)], lamp).camera_radiance(0, CENTRE, wo, 4)
             for albedo in (0.3, lambda wi, wo: np.full((len(wi), 3), 0.3 / np.pi))  # noqa: ARG005
         )
         np.testing.assert_allclose(general, plain, rtol=1e-10)
 
-    def test_more_nodes_change_little(self) -> None:
+    def test_more_nodes_change_little(self, cube: Any) -> None:
         """Would catch a rule that does not converge: the answer settles to 1 % for each number of events."""
         lamp = PointLamp(500.0 * unit([0.5, 0.0, 0.87]), 500.0**2)
         wo = np.array([unit([-0.3, 0.1, 0.9])])
         coarse, fine = (
-            ThreePoint([sample(glossy), *housing(900.0, 0.04, n)], lamp).camera_radiance(0, CENTRE, wo, 2)
+            ThreePoint([sample(glossy), *cube(900.0, 0.04, n)], lamp).camera_radiance(0, CENTRE, wo, 2)
             for n in (6, 9)
         )
         np.testing.assert_allclose(coarse, fine, rtol=8e-3)
@@ -122,7 +103,7 @@ class TestRefinement:
 
 @pytest.mark.render
 class TestAgainstMitsuba:
-    def test_the_path_tracer_finds_the_same_stray_light(self, vector: Any) -> None:
+    def test_the_path_tracer_finds_the_same_stray_light(self, vector: Any, cube: Any) -> None:
         """Would catch either of two independent solutions of the same equation being wrong."""
         from rig.description import default_rig
         from rig.kinematics import Kinematics
@@ -142,7 +123,7 @@ class TestAgainstMitsuba:
         radius = rig.sample.diameter_mm / 2.0
         disc = Surface([0, 0, 0], [radius, 0, 0], [0, radius, 0], glossy, 2, round_=True)
         solver = ThreePoint(
-            [disc, *housing(half_mm, 0.2, 7)], PointLamp(frames.light_mm, rig.lamp.distance_mm**2)
+            [disc, *cube(half_mm, 0.2, 7)], PointLamp(frames.light_mm, rig.lamp.distance_mm**2)
         )
         orders = solver.camera_radiance(0, CENTRE, unit(frames.camera_mm)[None], 5)[:, 0, 0]
         middle = (slice(44, 52), slice(60, 68))
