@@ -44,6 +44,13 @@ NOISE_FLOOR = 0.02
 """Relative standard uncertainty that every value has at least."""
 
 
+RISING = 10.0
+"""Logarithm of the odds, near the normal, from which values are believed that lack cos(theta_i) cos(theta_o).
+
+Apertures and footprints take away where a peak is narrow or lies low, as those cosines do.
+"""
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Readings, best first.
@@ -73,7 +80,13 @@ class Diagnosis:
         return tuple(each for place, each in enumerate(self.ranked) if not place or self._rivals(each))
 
     def _rivals(self, other: Ranked) -> bool:
-        return other.log_odds >= -DECIDED or other.log_odds_steep > self.ranked[0].log_odds_steep
+        best = self.ranked[0]
+        if other.log_odds >= -DECIDED:
+            return True
+        light, view = (a - b for a, b in zip(best.reading.powers, other.reading.powers, strict=True))
+        if best.reading.turned == other.reading.turned and light == view != 0:
+            return other.log_odds_near > best.log_odds_near - (RISING if light < 0 else 0.0)
+        return other.log_odds_steep > best.log_odds_steep
 
     @property
     def as_declared(self) -> bool:
@@ -152,14 +165,18 @@ def diagnose(table: AngleTable) -> Diagnosis:
         replace(
             each,
             log_odds=each.log_odds - best.log_odds,
-            log_odds_steep=each.log_odds_steep - best.log_odds_steep
-            if np.isfinite(best.log_odds_steep)
-            else 0.0,
+            log_odds_steep=_against(each.log_odds_steep, best.log_odds_steep),
+            log_odds_near=_against(each.log_odds_near, best.log_odds_near),
         )
         for each in weighed
     ]
     found = Diagnosis(tuple(_joined(ranked, few)), len(weights))
     return replace(found, to_decide=what_would_decide([each.reading for each in found.open], few))
+
+
+def _against(log: float, best: float) -> float:
+    """Return a logarithm of odds; 0 where the best has none."""
+    return log - best if np.isfinite(best) else 0.0
 
 
 def same_within_noise(table: AngleTable, first: Reading, second: Reading) -> bool:

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.doctor_readings import COSINES, Reading
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from analysis.angle_table import AngleTable
+    from analysis.doctor_readings import Reading
 
 LARGEST_THETA = float(np.radians(75.0))
 """Beyond it nobody is sent to measure a reference."""
@@ -34,7 +33,7 @@ def what_would_decide(readings: Sequence[Reading], table: AngleTable) -> str:
     """
     if len(readings) < 2:
         return ""
-    turned = {tuple(step for step in reading.steps if step not in COSINES) for reading in readings}
+    turned = {reading.turned for reading in readings}
     asked = [_reference(readings, table)]
     if len(turned) > 1:
         asked.append(
@@ -48,8 +47,7 @@ def what_would_decide(readings: Sequence[Reading], table: AngleTable) -> str:
 def _reference(readings: Sequence[Reading], table: AngleTable) -> str:
     """Return where a white reference tells the best reading from one with another factor."""
     best = readings[0]
-    turned = [step for step in best.steps if step not in COSINES]
-    rivals = [reading for reading in readings[1:] if [s for s in reading.steps if s not in COSINES] == turned]
+    rivals = [reading for reading in readings[1:] if reading.turned == best.turned]
     if not rivals:
         return ""
     read = best.apply(table)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +66,15 @@ WORDS = {
 }
 
 
+COSINES = {
+    Step.WITH_COS_O: (0, -1),
+    Step.OVER_COS_O: (0, 1),
+    Step.WITH_COS_I: (-1, 0),
+    Step.OVER_COS_I: (1, 0),
+}
+"""Steps that change values, and the powers of cos(theta_i) and cos(theta_o) that they multiply by."""
+
+
 @dataclass(frozen=True)
 class Reading:
     """Steps, first to last; none is the file as declared."""
@@ -80,6 +90,19 @@ class Reading:
     def words(self) -> str:
         """What it says of the file."""
         return ", and ".join(WORDS[step] for step in self.steps) or "as declared"
+
+    @property
+    def turned(self) -> tuple[Step, ...]:
+        """Return the steps that change directions."""
+        return tuple(step for step in self.steps if step not in COSINES)
+
+    @property
+    def powers(self) -> tuple[int, int]:
+        """Powers of cos(theta_i) and cos(theta_o) by which the values are multiplied."""
+        light, view = (
+            zip(*(COSINES.get(step, (0, 0)) for step in self.steps), strict=True) if self.steps else ((), ())
+        )
+        return sum(light), sum(view)
 
     def apply(self, table: AngleTable) -> AngleTable:
         """Return what the table means under this reading."""
@@ -144,10 +167,7 @@ _APPLY: dict[Step, Callable[[AngleTable], AngleTable]] = {
     Step.MIRRORED: lambda t: replace(t, phi_o=-t.phi_o),
     Step.TURNED: lambda t: replace(t, phi_o=np.asarray(wrap(t.phi_o + t.phi_i))),
     Step.UNTURNED: lambda t: replace(t, phi_o=np.asarray(wrap(t.phi_o - t.phi_i))),
-    Step.WITH_COS_O: lambda t: _times(t, 0, -1),
-    Step.OVER_COS_O: lambda t: _times(t, 0, 1),
-    Step.WITH_COS_I: lambda t: _times(t, -1, 0),
-    Step.OVER_COS_I: lambda t: _times(t, 1, 0),
+    **{step: partial(_times, light=light, view=view) for step, (light, view) in COSINES.items()},
 }
 
 INVERSE = {
@@ -173,7 +193,6 @@ DIRECTIONS = (
     Step.TURNED,
     Step.UNTURNED,
 )
-COSINES = (Step.WITH_COS_O, Step.OVER_COS_O, Step.WITH_COS_I, Step.OVER_COS_I)
 
 
 def reading_of(name: str) -> Reading:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.doctor_evidence import LENGTHS, Directions, Evidence
-from analysis.doctor_readings import COSINES, Reading, Step
 from analysis.pairing import FEWEST_PAIRS, reciprocal_difference
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from analysis.angle_table import AngleTable
+    from analysis.doctor_readings import Reading, Step
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ NARROW, NARROW_COST = float(np.radians(3.0)), 25.0
 COMPARED = float(np.radians(82.0))
 GRAZING = float(np.radians(72.0))
 """Footprints and stray light rule beyond it: a decision has to stand without."""
+NEAR = float(np.radians(50.0))
+"""Within it a lobe has to tell a factor cos(theta_i) cos(theta_o), which reciprocity does not."""
 FAVOUR = (2.0, 0.0, -4.0)
 """Logarithm of the prior odds by the number of steps: files are mostly what they say."""
 
@@ -47,8 +49,8 @@ class Ranked:
         The others that give exactly the same samples.
     log_odds : float
         Natural logarithm of its odds against the best.
-    log_odds_steep : float
-        The same without the grazing samples; -inf where too few are left.
+    log_odds_steep, log_odds_near : float
+        The same without the grazing samples, and near the normal only; -inf where too few are left.
     above_horizon : float
         Share of the samples with both directions above the horizon.
     reciprocity : float
@@ -63,6 +65,7 @@ class Ranked:
     same: tuple[Reading, ...]
     log_odds: float
     log_odds_steep: float
+    log_odds_near: float
     above_horizon: float
     reciprocity: float
     evidence: Evidence
@@ -108,17 +111,20 @@ class Weighing:
         prior -= PER_IMPOSSIBLE * max(1.0 - share - ALLOWED_IMPOSSIBLE, 0.0)
         prior -= NARROW_COST if largest[use].max() < NARROW else 0.0
         found, log = self._evidence(same[0], read, use, COMPARED)
-        steep = -np.inf
-        if not self._quick and np.count_nonzero(use & (largest < GRAZING)) >= FEWEST:
-            steep = prior + self._evidence(same[0], read, use & (largest < GRAZING), GRAZING)[1]
+        parts = {GRAZING: -np.inf, NEAR: -np.inf}
+        for within in () if self._quick else tuple(parts):
+            if np.count_nonzero(use & (largest < within)) >= FEWEST:
+                parts[within] = prior + self._evidence(same[0], read, use & (largest < within), within)[1]
         reciprocity = float("nan") if self._quick else _reciprocity(read.rows(use))
-        return Ranked(same[0], tuple(same[1:]), prior + log, steep, share, reciprocity, found)
+        steep, near = parts.values()
+        total = prior + log
+        return Ranked(same[0], tuple(same[1:]), total, steep, near, share, reciprocity, found)
 
     def _evidence(
         self, reading: Reading, read: AngleTable, use: NDArray[np.bool_], within: float
     ) -> tuple[Evidence, float]:
         """Return the evidence of some samples, and its logarithm of the likelihood."""
-        turned = tuple(step for step in reading.steps if step not in COSINES)
+        turned = reading.turned
         if (turned, within) not in self._known:
             rows = read.rows(use)
             self._known[turned, within] = Directions(rows.wi, rows.wo, self._weights[use], self._lengths)
