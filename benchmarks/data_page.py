@@ -90,7 +90,8 @@ HEAD = """# Other laboratories' data, in numbers
 
 Written by `python -m benchmarks.data_page docs numbers.json` from what
 `gonio bench data --json --plots docs/data > numbers.json` printed (about half an hour), or its parts, each
-run alone. A part without a section was not run for this page. The measurements are public (docs/formats.md names the formats) and not part of the project.
+run alone. A part without a section was not run for this page. The measurements are public (docs/formats.md
+names the formats) and not part of the project.
 """
 
 
