@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 CHANNELS = 3
+_REACH_MARGIN, _LOST = 1.1, 1e-3
+"""Of the sample's radius, for what points of the lamp do not tell; and of an image's height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +127,10 @@ class Surroundings:
         """Tell whether the lamp's image can be seen from some point of the sample in the last mirror."""
         if light.lamp_mm is None or light.mirror is None:
             return True
-        height, corners = light.lamp_mm[2], light.mirror.corners_mm
-        behind = (light.lamp_mm - np.asarray(light.mirror.centre_mm)) @ light.mirror.normal < 0.0
-        if height <= 0.0 or not behind:
-            return False
-        if np.any(corners[:, 2] >= height) or np.any(corners[:, 2] <= 0.0):
-            return True  # the frame of light on the sample's plane has no end
-        scale = height / (height - corners[:, 2])
-        spots = light.lamp_mm + scale[:, None] * (corners - light.lamp_mm)
-        # Each point of the lamp's disc has a frame of its own, shifted by no more than this.
-        away = np.linalg.norm(spots - light.lamp_mm, axis=1)
-        shift = self._scene.lamp_radius_mm * float(np.max(scale * away)) / height
-        return bool(_distance_to_polygon(spots[:, :2]) <= self._scene.sample_radius_mm + shift)
+        around = self._scene.lamp_radius_mm * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+        reach_mm = _REACH_MARGIN * self._scene.sample_radius_mm
+        # Each point of the lamp's disc has a frame of light of its own.
+        return any(_reaches(light.lamp_mm + off, light.mirror, reach_mm) for off in around)
 
     def series(self, lights: Sequence[Light]) -> Light | None:
         """Sum lights and all that they become over any number of further surfaces.
@@ -235,6 +229,36 @@ def _in_mirror(light: Light, mirror: PlanarMirror | None) -> Light:
         image = image * [1.0, 1.0, -1.0] if mirror is None else mirror.image(image)
     kept = light.kept * (1.0 if mirror is None else mirror.reflectance)
     return replace(light, lamp_mm=image, mirror=mirror, mirrored=True, kept=kept)
+
+
+def _reaches(image_mm: Array, mirror: PlanarMirror, reach_mm: float) -> bool:
+    """Tell whether a point behind a mirror is seen in it from somewhere near the origin at z = 0."""
+    height = image_mm[2]
+    if height <= 0.0 or (image_mm - np.asarray(mirror.centre_mm)) @ mirror.normal >= 0.0:
+        return False
+    # What is higher than the image throws its light up, what is just below it so far away that it is lost.
+    window = _between(mirror.corners_mm, 0.0, (1.0 - _LOST) * height)
+    if len(window) < 3:
+        return False
+    scale = height / (height - window[:, 2])
+    spots = image_mm + scale[:, None] * (window - image_mm)
+    return bool(_distance_to_polygon(spots[:, :2]) <= reach_mm)
+
+
+def _between(corners: Array, low: float, high: float) -> Array:
+    """Cut a convex polygon (N, 3) at two heights, as Sutherland and Hodgman (1974) do."""
+    for sign, level in ((1.0, low), (-1.0, high)):
+        above = sign * (corners[:, 2] - level)
+        kept = []
+        for start, end, here, there in zip(
+            corners, np.roll(corners, -1, axis=0), above, np.roll(above, -1), strict=True
+        ):
+            if here >= 0.0:
+                kept.append(start)
+            if here * there < 0.0:
+                kept.append(start + here / (here - there) * (end - start))
+        corners = np.array(kept).reshape(-1, 3)
+    return corners
 
 
 def _distance(mirror: PlanarMirror, point_mm: Array) -> float:

@@ -18,6 +18,7 @@ from rig.pixels import camera_rays, pixel_geometry
 from simulator.light import mitsuba_scene
 from simulator.light.classes import SHORT, light_paths
 from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.finite_size import pose_error
 from simulator.light.paths import LightPaths
 from simulator.light.sample_shapes import SampleSurface
 from simulator.light.scene import Event
@@ -176,11 +177,33 @@ class PathTracing(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""
+        return self._predicted(scene, paths, tolerance, _NOISE_DIRECT, vector=vector)
+
+    def seconds_at(
+        self,
+        mi: Any,
+        scene: Scene,
+        paths: LightPaths,
+        tolerance: float,
+        angles_rad: Sequence[float],
+        *,
+        vector: bool,
+    ) -> float:
+        """Predict the time of a certain pose: narrow lobes are noisy; see `Method.seconds_at`."""
+        # What lamp, pixel and pupil do to the mean is of second order, what they do to one path of first.
+        spread = math.sqrt(pose_error(mi, scene, tuple(angles_rad))) if scene.plain else 0.0
+        return self._predicted(scene, paths, tolerance, max(_NOISE_DIRECT, spread), vector=vector)
+
+    @staticmethod
+    def _predicted(
+        scene: Scene, paths: LightPaths, tolerance: float, direct: float, *, vector: bool
+    ) -> float:
         first, last = _events(scene, paths) or (1, DEEPEST)
         albedo = scene.housing.albedo if scene.housing else 0.0
         share = 1.0 if first > 1 else 0.0 if last == 1 else _STRAY_SHARE * albedo / (1.0 - albedo)
-        noise = _NOISE_DIRECT + _NOISE_STRAY * share
-        renders = np.clip((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST, _MOST)
+        noise = direct + _NOISE_STRAY * share
+        # As many as it would need, though it stops before: what it cannot reach is not cheap.
+        renders = max((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST)
         followed = [last, first - 1] if first > 1 else [last]
         longest = DEEPEST if scene.housing else _OPEN_EVENTS
         events = sum(min(events, longest) + 1.0 for events in followed)
