@@ -85,7 +85,7 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
             row(f"{name}: path tracing is apart by, in its standard errors", apart / noise, "", APART_TARGET),
         ]
     if plots is not None:
-        _plot(curves, plots / "light-housing.png")
+        _plot(curves, plots / "light_housing.png")
     return rows
 
 

@@ -29,7 +29,8 @@ scene of yours, and how much each kind of light is, is told by
     gonio sim --explain --material cook-torrance:kd=0.3,ks=0.5,m=0.2,ior=1.5 --housing-albedo 0.04
     gonio sim --stray --material lambert:kd=0.05 --housing-albedo 0.04
 
-and what the twin itself computes is set by `gonio sim --housing-albedo A --tolerance T`.
+and what the twin itself computes is set by `gonio sim --housing-albedo A --tolerance T`. Times of the choice
+and of the demo are processor times; the others are by the clock, on a machine that was busy: trust ratios.
 """
 
 _FIGURES = {
@@ -38,12 +39,13 @@ _FIGURES = {
         "Scenes drawn from a seed: every way to compute each, and the chosen one in a ring",
     ),
     "light_direct": ("light/light_direct.png", "Direct light: quadrature and Mitsuba's direct"),
-    "light_housing": ("light/light-housing.png", "Stray light: radiosity and path tracing"),
+    "light_housing": ("light/light_housing.png", "Stray light: radiosity and path tracing"),
 }
 
 _TITLES = {
     "light_chooser": "The choice of methods",
     "light_demo": "The demo",
+    "light_modes": "Both modes of Mitsuba",
     "light_direct": "Direct light",
     "light_housing": "Stray light of a housing",
     "light_mirror": "A mirror beside the sample",

@@ -33,12 +33,12 @@ Array = NDArray[np.float64]
 LEVELS = Levels(2, 1, 2)
 GRID = 12
 """Rows and columns of pixels that are compared."""
-EDGE_PX = 2
+EDGE_PX = 3
 NODES = 4096
 RENDERS, SAMPLES, LONGEST = 4, 64, 8
-MOST_ROUNDS = 4
+MOST_ROUNDS = 3
 """How often the render is made four times longer, as long as its noise counts."""
-BLOCK = 3
+BLOCK = 5
 """Pixels along each side of the block over which rendered light, which is smooth, is averaged."""
 DIRECT, IMAGES = LightPaths("LDE"), LightPaths("LS+DE")
 
