@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.noise import noise_variance
+from analysis.robust import beyond_given_weights
 
 if TYPE_CHECKING:
     from analysis.covariance import NormalEquations
@@ -77,7 +78,7 @@ def from_residuals(normal: NormalEquations, loss: Loss, f: Array, scatter: Array
         return Unstated(np.zeros_like(f), np.diag(unknown), np.full(len(unknown), 1.0))
     if scatter is not None:
         u = scatter * per_unit
-        moves = u.reshape(-1, 1) * normal.influence
+        moves = beyond_given_weights() * u.reshape(-1, 1) * normal.influence
         return Unstated(u, normal.propagated(moves), normal.among_all(np.full(coordinates, spare), np.inf))
     left = 1.0 - normal.leverages()
     known = loss.used & (left > LEAST_FREE)

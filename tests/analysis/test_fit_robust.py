@@ -8,7 +8,7 @@ import pytest
 from analysis.fit import fit
 from analysis.identifiability import Kind
 from analysis.models import MODELS
-from analysis.robust import scatter_of
+from analysis.robust import BIWEIGHT, beyond_given_weights, scatter_of
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 
@@ -113,3 +113,15 @@ def test_the_scatter_is_that_of_the_good_data():
         np.where(used, residual, 0.0), used, np.repeat(np.linspace(0.0, 1.0, 20000)[:, None], 2, 1)
     )
     np.testing.assert_allclose(found, np.broadcast_to([1.0, 3.0], found.shape), rtol=0.15)
+
+
+def test_weights_that_follow_the_data_cost_what_is_said() -> None:
+    """Catches u of a robust fit that takes its weights for given, or a correction for another measure."""
+    r = np.random.default_rng(2).standard_normal((4000, 300))
+    mean = np.median(r, axis=1, keepdims=True)
+    for _ in range(30):
+        weight = np.square(np.maximum(1.0 - np.square((r - mean) / BIWEIGHT), 0.0))
+        mean = np.sum(weight * r, axis=1, keepdims=True) / np.sum(weight, axis=1, keepdims=True)
+    given = np.sqrt(np.sum(np.square(weight), axis=1)) / np.sum(weight, axis=1)
+    found = mean.std() / np.sqrt(np.mean(np.square(given)))
+    assert found == pytest.approx(beyond_given_weights(), abs=3.0 / np.sqrt(2.0 * len(r)))
