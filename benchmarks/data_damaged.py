@@ -8,15 +8,12 @@ a MERL table and a raw `.xls`, get fewer.
 from __future__ import annotations
 
 import tempfile
-import zlib
 from pathlib import Path
-from random import Random
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.rows import row
 from gonio.output import say
-from tests.analysis.damages import BINARY_DAMAGES, text_damages
-from tests.analysis.test_damaged import Reader, complaint_of
+from tests.analysis.test_damaged import Reader, answers
 from tests.analysis.whole_files import Whole, make_merl, make_whole_files
 
 if TYPE_CHECKING:
@@ -47,24 +44,12 @@ def run(plots: Path | None) -> Iterator[dict[str, Any]]:
 def _file_rows(reader: Reader, label: str, file: Whole, path: Path) -> list[dict[str, Any]]:
     count = OF_LARGE if file.path.stat().st_size > LARGE_BYTES else DAMAGES
     say(f"  {label}: {count} damages")
-    intact, whole = file.path.read_bytes(), reader(file.path)
-    damages = BINARY_DAMAGES if file.binary else text_damages(file.separator)
-    random = Random(zlib.crc32(file.path.name.encode()))  # noqa: S311 - seeded on purpose
-    wrong, made, slowest = 0, 0, 0.0
-    for index in range(count):
-        damage = damages[index % len(damages)]
-        content = damage.change(intact, random)
-        if content == intact:
-            continue
-        path.write_bytes(content)
-        answer = reader(path)
-        made += 1
-        slowest = max(slowest, answer[3])
-        complaint = complaint_of(file, damage, content, whole, answer)
-        wrong += bool(complaint)
+    found = list(answers(reader, file, path, count))
+    for _, complaint in found:
         if complaint:
-            say(f"    {index} {damage.name}: {complaint}")
+            say(f"    {complaint}")
+    wrong, slowest = sum(bool(complaint) for _, complaint in found), max(seconds for seconds, _ in found)
     return [
-        row(f"{label}: wrong answers to {made} damages", wrong, "", 0.0),
+        row(f"{label}: wrong answers to {len(found)} damages", wrong, "", 0.0),
         row(f"{label}: slowest answer, processor time", slowest, "s", SLOWEST_S),
     ]

@@ -181,14 +181,13 @@ def wrong_rows(  # noqa: PLR0911 - one answer for each effect
     return "" if max(other, missing) <= damage.rows_changed else f"changed: {counts}"
 
 
-def survive(reader: Reader, file: Whole, folder: Path, count: int | None = None) -> list[float]:
-    """Damage a file in `count` ways, else in each once, and check the answers; return the seconds of each."""
+def answers(reader: Reader, file: Whole, path: Path, count: int | None = None) -> Iterator[tuple[float, str]]:
+    """Damage a file in `count` ways, else in each once; give each answer's seconds and complaint."""
     intact = file.path.read_bytes()
     whole = reader(file.path)
     assert whole[0] == "read", whole[1]
     damages = BINARY_DAMAGES if file.binary else text_damages(file.separator)
     random = Random(zlib.crc32(file.path.name.encode()))  # noqa: S311 - seeded on purpose
-    path, wrong, seconds = folder / "damaged", [], []
     for index in range(count or len(damages)):
         damage = damages[index % len(damages)]
         content = damage.change(intact, random)
@@ -196,12 +195,16 @@ def survive(reader: Reader, file: Whole, folder: Path, count: int | None = None)
             continue
         path.write_bytes(content)
         answer = reader(path)
-        seconds.append(answer[3])
         complaint = complaint_of(file, damage, content, whole, answer)
-        if complaint:
-            wrong.append(f"{index} {damage.name}: {complaint}")
+        yield answer[3], f"{index} {damage.name}: {complaint}" if complaint else ""
+
+
+def survive(reader: Reader, file: Whole, folder: Path, count: int | None = None) -> list[float]:
+    """Check the answers to damages; return the seconds of each."""
+    found = list(answers(reader, file, folder / "damaged", count))
+    wrong = [complaint for _, complaint in found if complaint]
     assert not wrong, "\n".join(wrong)
-    return seconds
+    return [seconds for seconds, _ in found]
 
 
 @pytest.mark.parametrize("name", SMALL)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from analysis.formats import HEAD_BYTES, NAMES, clean_head, recognise
+from benchmarks.data_exchange import AT_HAND
 from tests.analysis.whole_files import make_merl, make_whole_files
 
 PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
@@ -38,22 +39,10 @@ def test_one_format_claims_each_file(tmp_path):
 @pytest.mark.realdata
 def test_one_format_claims_each_real_file(shared_data):
     """Catches the same on what laboratories wrote."""
-    expected = {
-        "cornell/*.brdf": "cornell",
-        "merl-standins/*.npz": "npz",
-        "mwir/radiance.csv": "inplane",
-        "rgl/*.bsdf": "rgl",
-        "rt300s/published/*.txt": "fred",
-        "rt300s/published/*.bsdf": "zemax",
-        "rt300s/raw/*.xls": "rt300s",
-        "rt300s/vendor-exports/*.xls": "rt300s",
-        "rt300s/vendor-exports/*.[jrt][dtx][vdt]": "rt300s_text",
-        "starlink/chassis_brdf.csv": "inplane",
-    }
-    found = {pattern: sorted(shared_data.glob(pattern)) for pattern in expected}
+    found = {pattern: sorted(shared_data.glob(pattern)) for pattern in AT_HAND}
     assert all(found.values())
     claims = {path: _claimed_by(path) for files in found.values() for path in files}
-    assert claims == {path: [expected[pattern]] for pattern, files in found.items() for path in files}
+    assert claims == {path: [AT_HAND[pattern]] for pattern, files in found.items() for path in files}
 
 
 @pytest.mark.parametrize(
