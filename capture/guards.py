@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from capture.plan import Plan, load_plan
-from capture.session import CALIBRATION_FOLDER, PLAN_FILE, RIG_FILE, calibration_hashes
+from capture.session import CALIBRATION_FOLDER, PLAN_FILE, RIG_FILE, changed_calibration
 from rig.description import Rig, load_rig
 from rig.errors import Refused
 
@@ -88,8 +88,7 @@ def same_rig(folder: Path, facts: dict[str, Any], given: str | Path | None, port
 
 
 def _require_same_calibration(place: Path, wanted: dict[str, str]) -> None:
-    found = calibration_hashes(place)
-    changed = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+    changed = changed_calibration(place, wanted)
     if changed:
         raise Refused(
             f"the calibration has changed since the session began: {', '.join(changed)}",

@@ -180,6 +180,15 @@ class Session:
         """The sensor's calibration, None where the machine had none."""
         return load_session_sensor(self.folder)
 
+    def edited_files(self) -> list[str]:
+        """Names of the session's files that are no longer as the capture left them.
+
+        Those of the machine and its calibration: a person may have meant it, so it is for him to judge.
+        """
+        changed = changed_calibration(self.folder, self.facts["calibration"])
+        edited = [f"{CALIBRATION_FOLDER}/{name}" for name in changed]
+        return edited if self.rig.hash == self.facts["rig"]["hash"] else [RIG_FILE, *edited]
+
     def planned(self) -> list[PlannedPose]:
         """All poses of the expanded plan, refused ones too."""
         return self.journal.poses()
@@ -317,6 +326,12 @@ def calibration_hashes(folder: Path) -> dict[str, str]:
     """Hash the calibration files below a folder: name -> SHA-256 (hex)."""
     files = sorted((folder / CALIBRATION_FOLDER).glob("*.toml"))
     return {file.name: hash_file(file) for file in files}
+
+
+def changed_calibration(folder: Path, hashes: dict[str, str]) -> list[str]:
+    """Names of the calibration files below a folder that do not have these hashes, or are gone, or new."""
+    found = calibration_hashes(folder)
+    return sorted(name for name in found.keys() | hashes.keys() if found.get(name) != hashes.get(name))
 
 
 def hash_file(path: str | os.PathLike[str]) -> str:

@@ -96,8 +96,12 @@ class Rig(Part):
 
     @property
     def hash(self) -> str:
-        """SHA-256 (hex) of everything but the ports, blind to the file's layout, key order and comments."""
-        content = _canonical(self.model_dump(mode="json", exclude={"ports"}))
+        """SHA-256 (hex) of everything but the ports, blind to the file's layout, key order and comments.
+
+        A field that says what it would say anyway does not count: a gonio that knows more fields than the
+        one that began a session still takes the machine for the same.
+        """
+        content = _canonical(self.model_dump(mode="json", exclude={"ports"}, exclude_defaults=True))
         return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     @property

@@ -192,7 +192,11 @@ def _session(options: argparse.Namespace) -> int:
         require_place(out, options)
         _require_bins(bin_px, session.rig)
         progress = Progress("poses", len(session.poses("sample")))
+        for name in (edited := session.edited_files()):
+            say(f"note: {name} was edited after the capture; it is used as it is now")
         samples = reduce_session(session, options=chosen, progress=progress)
+    if edited:
+        samples.attrs["edited_after_capture"] = ", ".join(edited)
     samples = keep_rejections(samples, out, options)
     write(samples, out)
     counts = {

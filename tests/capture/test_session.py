@@ -94,6 +94,21 @@ def test_a_new_session_holds_plan_machine_and_calibration(bench: Bench, default_
         assert session.facts["plan"]["hash"] == bench.plan.hash
 
 
+def test_what_a_person_edits_in_a_session_is_named(bench: Bench) -> None:
+    """Would catch another gain, or another machine, than the capture's, used without a word."""
+    for edited, name, change in (
+        (["calibration/sensor.toml"], "calibration/sensor.toml", ("0.5", "0.6")),
+        (["rig.toml", "calibration/sensor.toml"], "rig.toml", ("rho = 0.99", "rho = 0.98")),
+    ):
+        with Session.open(bench.folder) as session:
+            assert name not in session.edited_files()
+        file = bench.folder / name
+        assert change[0] in file.read_text()
+        file.write_text(file.read_text().replace(*change, 1))
+        with Session.open(bench.folder) as session:
+            assert session.edited_files() == edited
+
+
 def test_a_session_appears_whole_or_not_at_all(
     tmp_path: Path, default_rig: Rig, make_plan: Callable[..., Plan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
