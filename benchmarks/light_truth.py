@@ -2,7 +2,9 @@
 
 Direct light is the float64 solver's, a full product of rules over lamp, pixel and pupil; light of the lamp
 in a mirror is the mean over as many nodes of its virtual image's; all other light is a converged render,
-whose noise is known and taken off the squared error.
+whose noise is known and taken off the squared error. Over the sample that light is smooth: a polynomial is
+fitted to the render, which takes off most of its noise, and what the render has beyond it and beyond its
+noise is looked for; where there is something, means of small blocks are taken instead.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 
@@ -27,6 +30,7 @@ from simulator.light.virtual_lights import VirtualLights, spread_rule
 
 if TYPE_CHECKING:
     from benchmarks.light_scenes import Drawn
+    from simulator.light.path_tracer import Estimate
 
 Array = NDArray[np.float64]
 
@@ -38,8 +42,12 @@ NODES = 4096
 RENDERS, SAMPLES, LONGEST = 4, 64, 8
 MOST_ROUNDS = 3
 """How often the render is made four times longer, as long as its noise counts."""
+DEGREE = 6
+"""Of the polynomial in both coordinates of a pixel together."""
 BLOCK = 5
-"""Pixels along each side of the block over which rendered light, which is smooth, is averaged."""
+"""Pixels along each side of the block over which light that the polynomial does not follow is averaged."""
+ENOUGH, UNEXPLAINED = 0.3, 0.2
+"""Noise of the truth, and what its polynomial may miss, in units of the tolerance."""
 DIRECT, IMAGES = LightPaths("LDE"), LightPaths("LS+DE")
 
 
@@ -106,13 +114,39 @@ def truth_of(mi: Any, drawn: Drawn, tolerance: float) -> Truth | None:
     renders = RENDERS
     for _ in range(MOST_ROUNDS):
         found = traced.estimates(drawn.pose, renders)[0]
-        smooth = uniform_filter(found.mean, (BLOCK, BLOCK, 1)).reshape(-1, 3)[pixels]
-        variance = np.square(found.standard_error).reshape(-1, 3)[pixels].mean() / BLOCK**2
-        truth = Truth(pixels, radiance + smooth, float(variance))
-        if truth.resolution < 0.3 * tolerance:
+        level = tolerance * float((radiance + found.mean.reshape(-1, 3)[pixels]).mean())
+        smooth, variance = _smoothed(found, inside, UNEXPLAINED * level)
+        truth = Truth(pixels, radiance + smooth.reshape(-1, 3)[pixels], variance)
+        if truth.resolution < ENOUGH * tolerance:
             break
         renders *= 4
     return truth
+
+
+def _smoothed(found: Estimate, inside: NDArray[np.bool_], unexplained: float) -> tuple[Array, float]:
+    """Take off noise: the image (height, width, 3), and the variance that is left.
+
+    Parameters
+    ----------
+    found : Estimate
+    inside : ndarray of bool, shape (height, width)
+        Pixels that see nothing but the sample.
+    unexplained : float
+        What a polynomial may miss, RMS.
+    """
+    rows, cols = (np.linspace(-1.0, 1.0, size) for size in inside.shape)
+    y, x = (axis[inside] for axis in np.meshgrid(rows, cols, indexing="ij"))
+    degrees = np.indices((DEGREE + 1, DEGREE + 1)).reshape(2, -1)
+    basis = legendre.legvander2d(x, y, [DEGREE, DEGREE])[:, degrees.sum(axis=0) <= DEGREE]
+    coefficients = np.linalg.lstsq(basis, found.mean[inside], rcond=None)[0]
+    noise = float(np.square(found.standard_error[inside]).mean())
+    fitted = found.mean.copy()
+    fitted[inside] = basis @ coefficients
+    rest = uniform_filter(np.where(inside[..., None], found.mean - fitted, 0.0), (BLOCK, BLOCK, 1))[inside]
+    missed = float(np.square(rest).mean()) - noise / BLOCK**2
+    if missed <= unexplained**2:
+        return fitted, noise * basis.shape[1] / len(basis)
+    return uniform_filter(found.mean, (BLOCK, BLOCK, 1)), noise / BLOCK**2
 
 
 def _direct(mi: Any, drawn: Drawn, pixels: NDArray[np.intp]) -> Array:
