@@ -14,9 +14,10 @@ from rig.description import default_rig
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator import bsdfs
+from simulator.light.gather_nodes import LEVELS
 from simulator.light.path_tracer import PathLight
 from simulator.light.paths import LightPaths
-from simulator.light.radiosity import LEVELS, Radiosity
+from simulator.light.radiosity import Radiosity
 from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event, Scene, default_housing
 from simulator.materials import parse_material

@@ -22,11 +22,12 @@ from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths
 from simulator.light.direct_float64 import Float64Nodes
 from simulator.light.direct_view import extents_of, lens_of, view_of
+from simulator.light.even_rules import even_rule
 from simulator.light.path_classes import PathClasses
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.sparse_rules import Levels, product_rule
-from simulator.light.virtual_lights import VirtualLights, spread_rule
+from simulator.light.virtual_lights import VirtualLights
 
 if TYPE_CHECKING:
     from benchmarks.light_scenes import Drawn
@@ -164,4 +165,4 @@ def _images(mi: Any, drawn: Drawn, pixels: NDArray[np.intp]) -> Array:
     if not lights.lamps:
         return radiance
     view = view_of(Kinematics(scene.rig).frames(pose), extents_of(scene.rig))
-    return lights.mean(view, lens_of(scene.rig)[pixels], spread_rule(NODES, seed=1))
+    return lights.mean(view, lens_of(scene.rig)[pixels], even_rule(0, NODES, seed=1))

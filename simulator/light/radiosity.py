@@ -1,23 +1,15 @@
 """Light over a Lambertian housing: L D* Dl D E by radiosity, without noise.
 
-The housing's walls light each other as patches do whose radiosity is even (Goral, Torrance, Greenberg and
-Battaile 1984, "Modeling the interaction of light between diffuse surfaces"): the matrix of that is solved
-once for a rig (`simulator.light.walls`). A pose lights the walls by the lamp, exactly at every node of a
-quadrature rule, in the shadow of the sample, and by the sample, which throws the lamp's light on them as its
-f_r does. The last step gathers, at a few points of the sample, the walls' radiance with f_r: near the
-mirror direction, where a lobe may be narrow, with nodes in rings about that direction, elsewhere with the
-nodes on the walls; a smooth weight divides the hemisphere between the two. Over the sample the light is
-smooth, and is interpolated by polynomials. Everything is refined until the picture changes by less than the
-tolerance.
-
-Seen from the walls the sample is small: it hides from each patch a part of the one opposite, and what it
-receives from the walls and gives back to them it spreads evenly, as much of it as its f_r reflects.
+A pose lights the walls by the lamp, exactly at every node of a quadrature rule, in the shadow of the sample,
+by the sample, which throws the lamp's light on them as its f_r does, and by each other
+(`simulator.light.wall_light`). The last step gathers, at a few points of the sample, the walls' radiance with
+f_r, where `simulator.light.gather_nodes` says. Over the sample the light is smooth, and is interpolated by
+polynomials. Everything is refined until the picture changes by less than the tolerance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,91 +20,23 @@ from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths
 from simulator.light.costs import value_s
 from simulator.light.evaluator import Evaluator, Method, Rendering
-from simulator.light.hemisphere import hemisphere
+from simulator.light.gather_nodes import LEVELS, Level, in_rings, interpolation, rings
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Event
-from simulator.light.virtual_lights import crosses_disc
-from simulator.light.walls import Walls
+from simulator.light.wall_light import SIDE_PATCHES, WallLight
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from simulator.light.scene import Scene
-    from simulator.light.walls import Indices, WallRule
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
 Array = NDArray[np.float64]
 
-SIDE_PATCHES = 8
-"""Patches along each side of a wall; what half as many give tells the error."""
-_LOBE_RAD = (0.15, 0.75)
-"""Angles from the mirror direction up to which, and from which on, nodes are in rings, and on walls."""
-_NARROWEST_RAD = 1e-4
 _SECONDS_PER_NODE, _POSE_S = 3e-7, 2e-3
 """Time of a node besides that of its f_r, and of a pose."""
-
-
-class Level(NamedTuple):
-    """How fine a pose is computed.
-
-    Attributes
-    ----------
-    wall : int
-        Nodes along each side of a patch.
-    rings, turns : int
-        Nodes about the mirror direction.
-    points : int
-        Points of the sample along each of its axes.
-    """
-
-    wall: int
-    rings: int
-    turns: int
-    points: int
-
-
-LEVELS = (
-    Level(2, 12, 16, 3),
-    Level(3, 18, 24, 4),
-    Level(4, 28, 36, 5),
-    Level(6, 40, 56, 7),
-    Level(8, 60, 80, 9),
-)
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Which of a housing's paths are summed up, by the events before the sample's last.
-
-    Attributes
-    ----------
-    once : bool
-        The lamp on the walls.
-    twice : bool
-        From walls to walls.
-    sample_first : bool
-        The sample on the walls.
-    longer : bool
-        All with more events.
-    """
-
-    once: bool
-    twice: bool
-    sample_first: bool
-    longer: bool
-
-    @classmethod
-    def of(cls, scene: Scene, paths: LightPaths) -> Wanted:
-        """Read it off a set of paths."""
-        last = _scatters(scene)
-        return cls(
-            once=f"LDl{last}E" in paths,
-            twice=f"LDlDl{last}E" in paths,
-            sample_first=f"L{last}Dl{last}E" in paths,
-            longer=bool(paths.with_events(4)),
-        )
 
 
 class Radiosity(Evaluator):
@@ -129,26 +53,11 @@ class Radiosity(Evaluator):
     """
 
     def __init__(self, scene: Scene, reflectance: Reflectance, paths: LightPaths) -> None:
-        if scene.housing is None:
-            raise ValueError("radiosity needs a housing")
-        self._scene, self._reflectance, self._wanted = scene, reflectance, Wanted.of(scene, paths)
+        self._scene, self._reflectance = scene, reflectance
         self._glossy = Event.GLOSSY in scene.events
-        self._albedo, half_mm = scene.housing.albedo, scene.housing.half_size_mm
         self._kinematics = Kinematics(scene.rig)
-        self.walls = Walls(half_mm, SIDE_PATCHES)
-        self._sample_area = np.pi * scene.sample_radius_mm**2
-        self._parents = self.walls.coarser()
-        distance = np.linalg.norm(self.walls.centres, axis=1)
-        here = -np.sum(self.walls.centres * self.walls.normals, axis=1)
-        seen = self.walls.centres[:, 2] * here / distance**4
-        self._seen_by_sample = np.maximum(seen, 0.0)
-        fine = self.walls.form_factors()
-        # The sample, at the middle of the cube, hides from each patch a part of the one opposite.
-        fine[np.arange(len(self.walls)), self.walls.opposite()] -= self._sample_area / np.pi * np.abs(seen)
-        coarse = _aggregated(fine, self._parents)
-        self._exchanges = tuple(self._albedo * shares for shares in (fine, coarse))
-        self._solved = tuple(np.linalg.inv(np.eye(len(k)) - k) for k in self._exchanges)
-        self._sample_albedo = _hemispherical_albedo(reflectance)
+        self._light = WallLight(scene, reflectance, paths)
+        self.walls = self._light.walls
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
         """Compute the radiance of a pose; see `Evaluator`."""
@@ -198,7 +107,7 @@ class Radiosity(Evaluator):
         points = np.column_stack([centre + half * np.column_stack([x, y]), np.zeros(len(x))])
         gathered = self._gather(lamp_mm, points, unit(camera_mm - points), level)
         inside = np.clip((positions - centre) / half, -1.0, 1.0)
-        across, up = (_interpolation(nodes, inside[:, axis]) for axis in (0, 1))
+        across, up = (interpolation(nodes, inside[:, axis]) for axis in (0, 1))
         fine, coarse = (
             np.einsum("ni,nic->nc", up, np.tensordot(across, g.reshape(len(nodes), len(nodes), 3), axes=1))
             for g in gathered
@@ -208,17 +117,17 @@ class Radiosity(Evaluator):
     def _gather(self, lamp_mm: Array, points: Array, wo: Array, level: Level) -> Array:
         """Radiance (2, K, 3) of points of the sample: with all patches and with a quarter of them."""
         rule = self.walls.rule(lamp_mm, level.wall)
-        lamp, sample = self._lit_by_lamp(lamp_mm, rule), self._lit_by_sample(lamp_mm, rule)
-        repeated = self._repeated(self._patch_means(rule, lamp), self._patch_means(rule, sample))
+        lamp, sample = self._light.by_lamp(lamp_mm, rule), self._light.by_sample(lamp_mm, rule)
+        repeated = self._light.repeated(rule, lamp, sample)
         above = rule.points[:, 2] > 0.0
-        leaving = self._leaving(lamp[above], sample[above], repeated[:, rule.patches[above]])
+        leaving = self._light.leaving(lamp[above], sample[above], repeated[:, rule.patches[above]])
         way = rule.points[above] - points[:, None]
         squared = np.sum(np.square(way), axis=-1)
         wi = way / np.sqrt(squared)[..., None]
         there = -np.einsum("knj,nj->kn", wi, rule.normals[above])
         weights = wi[..., 2] * there * rule.areas[above] / squared
         if self._glossy:
-            weights *= 1.0 - _in_rings(wi, wo)
+            weights *= 1.0 - in_rings(wi, wo)
         kept = self._reflected(wi, wo) * weights[..., None]
         radiance = np.einsum("knc,snc->skc", kept, leaving)
         if self._glossy:
@@ -227,16 +136,16 @@ class Radiosity(Evaluator):
 
     def _gather_lobe(self, lamp_mm: Array, points: Array, wo: Array, level: Level, repeated: Array) -> Array:
         """Light from about the mirror direction, (2, K, 3)."""
-        ring, solid_angle = _rings(level)
+        ring, solid_angle = rings(level)
         mirror = wo * [-1.0, -1.0, 1.0]
         across = unit(np.cross(np.eye(3)[np.argmin(np.abs(mirror), axis=1)], mirror))
         wi = np.einsum("nj,kjc->knc", ring, np.stack([across, np.cross(mirror, across), mirror], axis=1))
-        weights = solid_angle * np.maximum(wi[..., 2], 0.0) * _in_rings(wi, wo)
+        weights = solid_angle * np.maximum(wi[..., 2], 0.0) * in_rings(wi, wo)
         above = wi[..., 2] > 0.0
         hit = self.walls.hit(np.broadcast_to(points[:, None], wi.shape)[above], wi[above])
-        lamp, sample = self._lit_by_lamp(lamp_mm, hit), self._lit_by_sample(lamp_mm, hit)
+        lamp, sample = self._light.by_lamp(lamp_mm, hit), self._light.by_sample(lamp_mm, hit)
         leaving = np.zeros((2, *wi.shape))
-        leaving[:, above] = self._leaving(lamp, sample, repeated[:, hit.patches])
+        leaving[:, above] = self._light.leaving(lamp, sample, repeated[:, hit.patches])
         kept = self._reflected(wi, wo) * weights[..., None]
         return np.asarray(np.einsum("knc,sknc->skc", kept, leaving))
 
@@ -247,120 +156,10 @@ class Radiosity(Evaluator):
         f[above] = self._reflectance(wi[above], np.broadcast_to(wo[:, None], wi.shape)[above])
         return f
 
-    def _leaving(self, lamp: Array, sample: Array, repeated: Array) -> Array:
-        """Radiance (2, N, 3) of places on the walls, of the paths that are wanted."""
-        first = self._wanted.once * lamp[:, None] + self._wanted.sample_first * sample
-        return self._albedo / np.pi * (first + repeated)
-
-    def _repeated(self, lamp: Array, sample: Array) -> Array:
-        """Irradiance (2, P, 3) of the patches by other walls, with all patches and a quarter of them."""
-        found = []
-        for exchange, solved, parents in zip(
-            self._exchanges, self._solved, (np.arange(len(lamp)), self._parents), strict=True
-        ):
-            first, given, seen = (
-                _means(values, parents)
-                for values in (lamp[:, None] * np.ones(3), sample, self._seen_by_sample)
-            )
-            twice = exchange @ first
-            total = solved @ (first + given)
-            area = self._sample_area * self.walls.patch_area * len(lamp) / len(first)
-            back = self._sample_albedo / np.pi**2 * self._albedo * area * (seen @ total)
-            longer = total + solved @ (seen[:, None] * back) - first - given - twice
-            found.append((self._wanted.twice * twice + self._wanted.longer * longer)[parents])
-        return np.stack(found)
-
-    def _patch_means(self, rule: WallRule, values: Array) -> Array:
-        total = np.zeros((len(self.walls), *values.shape[1:]))
-        np.add.at(total, rule.patches, (values.T * rule.areas).T)
-        return total / self.walls.patch_area
-
-    def _lit_by_lamp(self, lamp_mm: Array, places: WallRule) -> Array:
-        """Irradiance (N,) of places on the walls by the lamp."""
-        scene, way = self._scene, places.points - lamp_mm
-        distance = np.linalg.norm(way, axis=1)
-        strength = np.full(len(way), scene.lamp_intensity)
-        if scene.lamp_cosine:
-            # A disc's irradiance falls short of a point's by this factor: it is made up for.
-            strength = (strength + scene.lamp_radius_mm**2) * np.maximum(way @ unit(-lamp_mm) / distance, 0.0)
-        clear = ~crosses_disc(np.broadcast_to(lamp_mm, way.shape), places.points, scene.sample_radius_mm)
-        cosine = np.maximum(-np.sum(way * places.normals, axis=1), 0.0) / distance
-        return np.asarray(clear * strength * cosine / distance**2)
-
-    def _lit_by_sample(self, lamp_mm: Array, places: WallRule) -> Array:
-        """Irradiance (N, 3) of places on the walls by the sample, which the lamp lights."""
-        found = np.zeros((len(places.points), 3))
-        asked = self._wanted.sample_first or self._wanted.longer
-        if not asked or lamp_mm[2] <= 0.0:
-            return found
-        above = places.points[:, 2] > 0.0
-        way, wi = places.points[above], unit(lamp_mm)
-        distance = np.linalg.norm(way, axis=1)
-        out = way / distance[:, None]
-        f = self._reflectance(np.broadcast_to(wi, out.shape), out)
-        there = -np.sum(out * places.normals[above], axis=1)
-        found[above] = f * (wi[2] * self._sample_area * out[:, 2] * there / distance**2)[:, None]
-        return found
-
-
-def _aggregated(shares: Array, parents: Indices) -> Array:
-    """Form factors between patches that are groups of equal ones."""
-    of = np.equal.outer(np.arange(int(parents.max()) + 1), parents).astype(np.float64)
-    return np.asarray(of @ shares @ of.T / of.sum(axis=1, keepdims=True))
-
-
-def _means(values: Array, parents: Indices) -> Array:
-    counts = np.bincount(parents)
-    total = np.zeros((len(counts), *values.shape[1:]))
-    np.add.at(total, parents, values)
-    return np.asarray((total.T / counts).T)
-
-
-def _hemispherical_albedo(reflectance: Reflectance) -> Array:
-    """Share (3,) of even light from the whole hemisphere that is reflected."""
-    s, ds = np.polynomial.legendre.leggauss(4)
-    sine = np.sqrt(0.5 * (1.0 + s))
-    found = [hemisphere(reflectance, np.array([x, 0.0, np.sqrt(1.0 - x * x)])) for x in sine]
-    return np.asarray(0.5 * ds @ np.stack([np.pi * half.least + half.rest for half in found]))
-
-
-def _rings(level: Level) -> tuple[Array, Array]:
-    """Directions (N, 3) about +z, dense at it, and their solid angles (N,)."""
-    s, ds = np.polynomial.legendre.leggauss(level.rings)
-    length = np.log(_LOBE_RAD[1] / _NARROWEST_RAD)
-    gamma = _NARROWEST_RAD * np.exp(0.5 * (s + 1.0) * length)
-    share = 0.5 * ds * length * gamma * np.sin(gamma) * 2.0 * np.pi / level.turns
-    phi = 2.0 * np.pi * (np.arange(level.turns) + 0.5) / level.turns
-    g, p = (axis.ravel() for axis in np.meshgrid(gamma, phi, indexing="ij"))
-    return np.stack([np.sin(g) * np.cos(p), np.sin(g) * np.sin(p), np.cos(g)], axis=-1), np.repeat(
-        share, level.turns
-    )
-
-
-def _in_rings(wi: Array, wo: Array) -> Array:
-    """Smooth share (K, N) of a direction that is left to the nodes about the mirror direction."""
-    mirror = wo * [-1.0, -1.0, 1.0]
-    chord = np.linalg.norm(wi - mirror[:, None], axis=-1)
-    gamma = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
-    t = np.clip((gamma - _LOBE_RAD[0]) / (_LOBE_RAD[1] - _LOBE_RAD[0]), 0.0, 1.0)
-    return np.asarray(1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t * t))
-
-
-def _interpolation(nodes: Array, places: Array) -> Array:
-    """Matrix (N, K) that takes values at Chebyshev nodes (K,) to places between -1 and 1."""
-    degree = len(nodes) - 1
-    basis, at = (np.polynomial.chebyshev.chebvander(x, degree) for x in (nodes, places))
-    return np.asarray(at @ np.linalg.inv(basis))
-
 
 def _rms(fine: Array, coarse: Array) -> float:
     mean = float(fine.mean())
     return float(np.sqrt(np.mean(np.square(fine - coarse)))) / mean if mean > 0.0 else 0.0
-
-
-def _scatters(scene: Scene) -> str:
-    """Return the letter of the sample's part that scatters; none for one that does not."""
-    return next((event.value for event in sorted(scene.events) if event is not Event.MIRROR), "")
 
 
 class RadiosityMethod(Method):

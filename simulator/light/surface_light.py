@@ -7,7 +7,6 @@ many points, evenly spread over pixel, lamp and pupil together, doubled until th
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,16 +16,17 @@ from rig.kinematics import Kinematics
 from simulator.light.direct import DirectLight
 from simulator.light.direct_view import extents_of, lens_of, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.even_rules import even_rule
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.sample_shapes import SampleSurface
-from simulator.light.sparse_rules import Rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from simulator.light.direct_view import Extents, Lens, View
     from simulator.light.scene import Scene
+    from simulator.light.sparse_rules import Rule
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
@@ -191,29 +191,6 @@ class SurfaceMethod(Method):
         pattern = scene.material.mounting.pattern
         other = None if pattern is None else material_reflectance(mi, pattern.other)
         return SurfaceLight(scene, material_reflectance(mi, scene.material), other)
-
-
-@cache
-def even_rule(first: int, last: int) -> Rule:
-    """Return points of the sequence of Sobol, evenly spread over lamp, pixel and pupil together.
-
-    Parameters
-    ----------
-    first, last : int
-        Which, counted from 0; powers of two are the best ends.
-    """
-    from scipy.stats import qmc
-
-    # Scrambled with one seed, so that the first point is not a corner.
-    cube = qmc.Sobol(6, rng=np.random.default_rng(0)).random(last)[first:]
-    nodes = np.hstack([_to_disc(cube[:, :2]), cube[:, 2:4] - 0.5, _to_disc(cube[:, 4:])])
-    return Rule(nodes, np.full(last - first, 1.0 / (last - first)))
-
-
-def _to_disc(square: Array) -> Array:
-    """Carry the unit square to the unit disc, areas kept."""
-    radius, angle = np.sqrt(square[:, 0]), 2.0 * np.pi * square[:, 1]
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
 def _ways(view: View, lens: Lens, offset: Array) -> Array:

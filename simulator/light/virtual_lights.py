@@ -13,9 +13,7 @@ nodes that are evenly spread in all six dimensions at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cache, lru_cache
-from itertools import pairwise
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,27 +24,28 @@ from analysis.instrument import disc_nodes
 from rig.angles import unit
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
-from simulator.light.classes import light_paths, mirror_faces_sample, walks
+from simulator.light.classes import light_paths
 from simulator.light.costs import value_s
 from simulator.light.direct_view import extents_of, lens_of, meet, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
+from simulator.light.even_rules import even_rule
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
-from simulator.light.scene import Event, PlanarMirror, Scene
-from simulator.light.sparse_rules import CENTRES, Rule, product_rule, sparse_rule
+from simulator.light.sparse_rules import CENTRES, product_rule, sparse_rule
+from simulator.light.virtual_lamps import MOST_IMAGES, hidden, virtual_lamps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from simulator.light.direct_view import Lens, View
+    from simulator.light.scene import Scene
+    from simulator.light.sparse_rules import Rule
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-MOST_IMAGES = 6
-"""Mirrors in a row that are followed: two of reflectance 0.9 that face each other have lost half by then."""
 _SPREAD = (32, 128, 512, 2048)
 """Nodes of lamp, pixel and pupil together along the edges of windows."""
 _FIRST = sparse_rule(frozenset({CENTRES, *CENTRES.children()}))
@@ -55,82 +54,8 @@ _SECONDS_PER_NODE = 6e-7
 """Time of one node of one image in one pixel besides that of its f_r."""
 _EDGES, _EDGE_ERROR = 6.0, 0.4
 """Pixels along a window's edges, in rows of the frame, and the error of one node there."""
-_TOUCHING = 1e-9
 _SETTLED = 0.3
 """Change of a pixel, in tolerances of the mean, below which it is not refined further."""
-
-
-@dataclass(frozen=True, eq=False)
-class VirtualLamp:
-    """The lamp in mirrors, in the order in which its light meets them.
-
-    Parameters
-    ----------
-    mirrors : tuple of PlanarMirror
-    """
-
-    mirrors: tuple[PlanarMirror, ...]
-
-    @property
-    def reflectance(self) -> float:
-        """What the mirrors leave of its light."""
-        return float(np.prod([mirror.reflectance for mirror in self.mirrors]))
-
-    def image(self, points_mm: Array) -> Array:
-        """Return where points (..., 3) appear in the last mirror."""
-        for mirror in self.mirrors:
-            points_mm = mirror.image(points_mm)
-        return points_mm
-
-    def ways(self, lamp_mm: Array, points_mm: Array) -> tuple[Bools, list[Array]]:
-        """Follow light from a lamp over the mirrors to points.
-
-        Parameters
-        ----------
-        lamp_mm : ndarray, shape (3,)
-            The lamp itself.
-        points_mm : ndarray, shape (N, 3)
-            Where the light goes.
-
-        Returns
-        -------
-        passes : ndarray of bool, shape (N,)
-            Whether every mirror is met inside its rectangle and on its bright side.
-        corners : list of ndarray, shape (N, 3)
-            The way's ends and bends, lamp first; what passes nowhere is anything.
-        """
-        images = [lamp_mm]
-        for mirror in self.mirrors:
-            images.append(mirror.image(images[-1]))
-        corners, passes = [points_mm], np.ones(len(points_mm), dtype=bool)
-        for mirror, shown in zip(reversed(self.mirrors), reversed(images[1:]), strict=True):
-            met, share, inside = _met(mirror, corners[-1], np.broadcast_to(shown, points_mm.shape))
-            bright = (corners[-1] - np.asarray(mirror.centre_mm)) @ mirror.normal > 0.0
-            passes &= inside & bright & (share > 0.0) & (share < 1.0)
-            corners.append(met)
-        return passes, [np.broadcast_to(lamp_mm, points_mm.shape), *reversed(corners)]
-
-
-@lru_cache(maxsize=64)
-def virtual_lamps(scene: Scene, paths: LightPaths) -> tuple[VirtualLamp, ...]:
-    """Every lamp in mirrors that can light the sample and is asked for, fewest mirrors first.
-
-    Parameters
-    ----------
-    scene : Scene
-    paths : LightPaths
-        Paths that are wanted; only L S+ D E are found.
-    """
-    letters = sorted(scene.events - {Event.MIRROR})
-    lamps = []
-    for length in range(1, MOST_IMAGES + 1 if len(scene.mirrors) > 1 else 2):
-        if not any("L" + "S" * length + letter + "E" in paths for letter in letters):
-            continue
-        for walk in walks(scene, length):
-            met = [node for node, _ in walk if isinstance(node, int)]
-            if len(met) == length and mirror_faces_sample(scene, scene.mirrors[met[-1]]):
-                lamps.append(VirtualLamp(tuple(scene.mirrors[node] for node in met)))
-    return tuple(lamps)
 
 
 class VirtualLights(Evaluator):
@@ -169,7 +94,7 @@ class VirtualLights(Evaluator):
             if error <= tolerance:
                 break
             open_ = _unsettled(on_sample, change, _SETTLED * tolerance * max(0.0, float(picture.mean())))
-            fine = self.mean(view, lens[np.flatnonzero(open_)], spread_rule(count))
+            fine = self.mean(view, lens[np.flatnonzero(open_)], even_rule(0, count))
             change[open_], picture[open_], nodes = fine - picture[open_], fine, count
             error = _relative(change, picture)
         radiance[on_sample] = np.maximum(picture, 0.0)
@@ -241,7 +166,7 @@ class VirtualLights(Evaluator):
         radiance = np.zeros((len(points_mm), 3))
         for lamp in self.lamps:
             passes, corners = lamp.ways(place, points_mm)
-            passes &= ~self._hidden(lamp, corners, passes)
+            passes &= ~hidden(self._scene, lamp, corners)
             if not passes.any():
                 continue
             way = lamp.image(place) - points_mm[passes]
@@ -271,73 +196,6 @@ class VirtualLights(Evaluator):
             return np.ones(len(towards))
         return np.maximum(unit(towards - place) @ unit(-light_mm), 0.0)
 
-    def _hidden(self, lamp: VirtualLamp, corners: list[Array], passes: Bools) -> Bools:
-        """Tell where the sample, or a mirror that a part of the way does not end at, stands in the way."""
-        hidden = np.zeros(len(passes), dtype=bool)
-        ends = (None, *lamp.mirrors, None)
-        for part, (start, end) in enumerate(pairwise(corners)):
-            for mirror in self._scene.mirrors:
-                if mirror is not ends[part] and mirror is not ends[part + 1]:
-                    _, share, inside = _met(mirror, start, end)
-                    hidden |= inside & (share > _TOUCHING) & (share < 1.0 - _TOUCHING)
-            if part < len(corners) - 2:
-                hidden |= crosses_disc(start, end, self._scene.sample_radius_mm)
-        return hidden
-
-
-@cache
-def spread_rule(count: int, seed: int = 0) -> Rule:
-    """Return nodes spread evenly over lamp, pixel and pupil: Sobol's points (1967), scrambled.
-
-    Parameters
-    ----------
-    count : int
-        How many, a power of two.
-    seed : int
-        Of the scrambling.
-    """
-    from scipy.stats.qmc import Sobol
-
-    u = Sobol(6, rng=seed).random(count)
-    lamp, pupil = (
-        np.sqrt(u[:, k, None]) * np.column_stack([np.cos(a := 2.0 * np.pi * u[:, k + 1]), np.sin(a)])
-        for k in (0, 4)
-    )
-    return Rule(np.column_stack([lamp, u[:, 2:4] - 0.5, pupil]), np.full(count, 1.0 / count))
-
-
-def crosses_disc(start: Array, end: Array, radius_mm: float) -> Bools:
-    """Tell which straight ways (..., 3) pass through the sample's disc.
-
-    Parameters
-    ----------
-    start, end : ndarray, shape (..., 3)
-    radius_mm : float
-        The disc is about the origin in the plane z = 0.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = start[..., 2] / (start[..., 2] - end[..., 2])
-        met = start + share[..., None] * (end - start)
-        inside = np.sum(np.square(met[..., :2]), axis=-1) < radius_mm**2
-    return np.asarray(inside & (share > _TOUCHING) & (share < 1.0 - _TOUCHING))
-
-
-def _met(mirror: PlanarMirror, start: Array, end: Array) -> tuple[Array, Array, Bools]:
-    """Where ways (N, 3) meet a mirror's plane, the share of their length, and whether in its rectangle."""
-    centre = np.asarray(mirror.centre_mm)
-    way = end - start
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = ((centre - start) @ mirror.normal) / (way @ mirror.normal)
-        met = start + share[:, None] * way
-        inside = np.ones(len(start), dtype=bool)
-        for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
-            inside &= np.abs((met - centre) @ side) <= side @ side
-    return met, share, inside
-
 
 def _unsettled(on_sample: Bools, change: Array, level: float) -> Bools:
     """Tell which pixels (N,) of the sample the last step changed, along the windows' edges, or one beside."""
@@ -362,6 +220,8 @@ class VirtualLightsMethod(Method):
         """Say why it cannot compute the paths; see `Method`."""
         if not scene.mirrors:
             return "no mirror but the sample's own part"
+        if scene.curved_mirrors:
+            return "a curved mirror's image of the lamp has no place"
         housed = scene.housing is not None
         beyond = paths.with_events(MOST_IMAGES + 2) & light_paths(scene)
         brightest = max(mirror.reflectance for mirror in scene.mirrors)

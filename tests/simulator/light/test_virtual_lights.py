@@ -14,7 +14,8 @@ from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator.light.paths import LightPaths
 from simulator.light.scene import Event, PlanarMirror, Scene
-from simulator.light.virtual_lights import VirtualLights, virtual_lamps
+from simulator.light.virtual_lamps import virtual_lamps
+from simulator.light.virtual_lights import VirtualLights
 from simulator.materials import parse_material
 
 ANGLES = np.radians([30.0, 40.0, -20.0, 15.0])
