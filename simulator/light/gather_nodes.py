@@ -38,8 +38,9 @@ class Level(NamedTuple):
 
 
 LEVELS = (
-    Level(2, 12, 16, 3),
-    Level(3, 18, 24, 4),
+    Level(1, 8, 10, 2),
+    Level(2, 12, 16, 2),
+    Level(3, 18, 24, 3),
     Level(4, 28, 36, 5),
     Level(6, 40, 56, 7),
     Level(8, 60, 80, 9),

@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_SECONDS_PER_NODE, _POSE_S = 3e-7, 2e-3
-"""Time of a node besides that of its f_r, and of a pose."""
+_SECONDS_PER_NODE, _LEVEL_S = 3e-7, 2e-3
+"""Time of a node besides that of its f_r, and of a level."""
+_REACHED = (3e-2, 5e-3, 1e-3, 3e-4)
+"""Estimated errors after the second level, and after those above."""
 
 
 class Radiosity(Evaluator):
@@ -183,14 +185,14 @@ class RadiosityMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of one pose; see `Method`."""
-        levels = LEVELS[: 2 if tolerance >= 3e-3 else 3 if tolerance >= 5e-4 else len(LEVELS)]
+        needed = 2 + sum(tolerance < reached for reached in _REACHED)
         glossy = Event.GLOSSY in scene.events
         nodes = sum(
             level.points**2 * (3 * (SIDE_PATCHES * level.wall) ** 2 + glossy * level.rings * level.turns)
-            for level in levels
+            for level in LEVELS[:needed]
         )
         asked = value_s(scene.material, vector=vector) if glossy else 0.0
-        return _POSE_S + nodes * (_SECONDS_PER_NODE + asked)
+        return needed * _LEVEL_S + nodes * (_SECONDS_PER_NODE + asked)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Radiosity:
         """Set it to work; see `Method`."""

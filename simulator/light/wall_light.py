@@ -93,18 +93,29 @@ class WallLight:
         self._albedo, half_mm = scene.housing.albedo, scene.housing.half_size_mm
         self.walls = Walls(half_mm, SIDE_PATCHES)
         self._sample_area = np.pi * scene.sample_radius_mm**2
-        self._parents = self.walls.coarser()
-        distance = np.linalg.norm(self.walls.centres, axis=1)
-        here = -np.sum(self.walls.centres * self.walls.normals, axis=1)
-        seen = self.walls.centres[:, 2] * here / distance**4
-        self._seen_by_sample = np.maximum(seen, 0.0)
-        fine = self.walls.form_factors()
+        self._patches = self._fine_and_coarse(_hemispherical_albedo(reflectance))
+
+    def _fine_and_coarse(self, sample_albedo: Array) -> tuple[_Patches, _Patches]:
+        """Solve all patches, and a quarter of them."""
+        walls = self.walls
+        distance = np.linalg.norm(walls.centres, axis=1)
+        here = -np.sum(walls.centres * walls.normals, axis=1)
+        seen = walls.centres[:, 2] * here / distance**4
+        shares = walls.form_factors()
         # The sample, at the middle of the cube, hides from each patch a part of the one opposite.
-        fine[np.arange(len(self.walls)), self.walls.opposite()] -= self._sample_area / np.pi * np.abs(seen)
-        coarse = _aggregated(fine, self._parents)
-        self._exchanges = tuple(self._albedo * shares for shares in (fine, coarse))
-        self._solved = tuple(np.linalg.inv(np.eye(len(k)) - k) for k in self._exchanges)
-        self._sample_albedo = _hemispherical_albedo(reflectance)
+        shares[np.arange(len(walls)), walls.opposite()] -= self._sample_area / np.pi * np.abs(seen)
+        parents, seen = walls.coarser(), np.maximum(seen, 0.0)
+        given_back = sample_albedo / np.pi**2 * self._albedo * self._sample_area * walls.patch_area
+        area = len(walls) / (int(parents.max()) + 1)
+        return (
+            _Patches(np.arange(len(walls)), self._albedo * shares, seen, given_back),
+            _Patches(
+                parents,
+                self._albedo * _aggregated(shares, parents),
+                _means(seen, parents),
+                given_back * area,
+            ),
+        )
 
     def leaving(self, lamp: Array, sample: Array, repeated: Array) -> Array:
         """Radiance (2, N, 3) of places on the walls, of the paths that are wanted."""
@@ -124,21 +135,7 @@ class WallLight:
             As `by_sample` does.
         """
         lamp, sample = self._patch_means(rule, lamp), self._patch_means(rule, sample)
-        found = []
-        for exchange, solved, parents in zip(
-            self._exchanges, self._solved, (np.arange(len(lamp)), self._parents), strict=True
-        ):
-            first, given, seen = (
-                _means(values, parents)
-                for values in (lamp[:, None] * np.ones(3), sample, self._seen_by_sample)
-            )
-            twice = exchange @ first
-            total = solved @ (first + given)
-            area = self._sample_area * self.walls.patch_area * len(lamp) / len(first)
-            back = self._sample_albedo / np.pi**2 * self._albedo * area * (seen @ total)
-            longer = total + solved @ (seen[:, None] * back) - first - given - twice
-            found.append((self._wanted.twice * twice + self._wanted.longer * longer)[parents])
-        return np.stack(found)
+        return np.stack([patches.repeated(lamp, sample, self._wanted) for patches in self._patches])
 
     def _patch_means(self, rule: WallRule, values: Array) -> Array:
         total = np.zeros((len(self.walls), *values.shape[1:]))
@@ -171,6 +168,51 @@ class WallLight:
         there = -np.sum(out * places.normals[above], axis=1)
         found[above] = f * (wi[2] * self._sample_area * out[:, 2] * there / distance**2)[:, None]
         return found
+
+
+class _Patches:
+    """Patches whose light from wall to wall is solved.
+
+    Parameters
+    ----------
+    parents : ndarray of int, shape (P,)
+        Which of these each of the finest patches lies in.
+    exchange : ndarray, shape (M, M)
+        Irradiance of each by the irradiance of each other one.
+    seen : ndarray, shape (M,)
+        How well the sample sees each.
+    given_back : ndarray, shape (3,)
+        What the sample makes of what it sees.
+    """
+
+    def __init__(self, parents: Indices, exchange: Array, seen: Array, given_back: Array) -> None:
+        self._parents, self._exchange, self._seen, self._given_back = parents, exchange, seen, given_back
+        self._solved = np.linalg.inv(np.eye(len(exchange)) - exchange)
+        self._solved_seen = self._solved @ seen
+
+    def repeated(self, lamp: Array, sample: Array, wanted: Wanted) -> Array:
+        """Irradiance (P, 3) by other walls.
+
+        Parameters
+        ----------
+        lamp : ndarray, shape (P,)
+            Of the finest patches by the lamp.
+        sample : ndarray, shape (P, 3)
+            And by the sample.
+        wanted : Wanted
+            Which of it.
+        """
+        first = _means(lamp, self._parents)[:, None] * np.ones(3)
+        found = np.zeros_like(first)
+        if wanted.longer:
+            given = _means(sample, self._parents)
+            total = self._solved @ (first + given)
+            back = self._given_back * (self._seen @ total)
+            found = total + self._solved_seen[:, None] * back - first - given
+        if wanted.twice != wanted.longer:
+            twice = (self._exchange @ first[:, 0])[:, None]
+            found = found + twice if wanted.twice else found - twice
+        return np.asarray(found[self._parents])
 
 
 def _aggregated(shares: Array, parents: Indices) -> Array:
