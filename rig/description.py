@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from rig.default_solids import default_solids
 from rig.errors import BadInput
 from rig.parts import (
     Arms,
@@ -32,17 +33,23 @@ from rig.parts import (
 )
 from rig.rig_checks import contradictions
 from rig.rig_errors import explain
+from rig.solids import Box, Capsule, Cylinder, Solid, Sphere
 
 __all__ = [
     "Arms",
+    "Box",
     "Bus",
     "Camera",
+    "Capsule",
     "Clearance",
+    "Cylinder",
     "Joint",
     "Lamp",
     "Ports",
     "Rig",
     "Sample",
+    "Solid",
+    "Sphere",
     "Station",
     "White",
     "default_rig",
@@ -74,6 +81,9 @@ class Rig(Part):
     )
     white: White = Field(default_factory=White, description="the white reference")
     clearance: Clearance = Field(default_factory=Clearance, description="what keeps the arms apart")
+    solids: tuple[Solid, ...] = Field(
+        (), max_length=200, description="what must not touch, at most 200; none: only angles are checked"
+    )
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
@@ -218,6 +228,8 @@ def dump_rig(rig: Rig, path: str | Path) -> None:
 def default_rig(*, folder: str | Path = ".", **parts: Any) -> Rig:
     """Describe the default machine, which is the twin's: five servos, two arms, turntable, station wheel.
 
+    Its solids suit the distances of lamp and camera; with other joints or arms it has none but those given.
+
     Parameters
     ----------
     folder : path
@@ -264,7 +276,12 @@ def default_rig(*, folder: str | Path = ".", **parts: Any) -> Rig:
             "sample3": Station(angle_deg=-72.0, kind="sample"),
         },
     }
-    return _placed(Rig(**(fields | parts)), Path(folder).absolute())
+    fields |= parts
+    if not parts.keys() & {"solids", "joints", "arms"}:
+        fields["solids"] = default_solids(
+            fields.get("lamp", Lamp()), fields["camera"], fields.get("sample", Sample())
+        )
+    return _placed(Rig(**fields), Path(folder).absolute())
 
 
 def _placed(rig: Rig, folder: Path) -> Rig:

@@ -182,3 +182,9 @@ class Clearance(Part):
     min_separation_deg: float = Field(
         12.0, ge=0, le=180, description="least angle between light and camera, 0 to 180 degrees"
     )
+    margin_mm: float = Field(
+        10.0,
+        ge=0.1,
+        le=10_000,
+        description="least distance of solids that move past each other, 0.1 to 10000 mm",
+    )

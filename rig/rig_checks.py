@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rig.control_table import MODELS
 from rig.rig_errors import cross_field, nearest
+from rig.solids import BASE, Box, Sphere
 from rig.ticks import TICKS_PER_TURN
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
         yield from _joint_contradictions(joint, f"joints[{place}]")
     yield from _arm_contradictions(rig)
     yield from _station_contradictions(rig)
+    yield from _solid_contradictions(rig)
     camera = rig.camera
     if camera.shortest_exposure_s > camera.longest_exposure_s:
         yield cross_field(
@@ -128,3 +130,33 @@ def _station_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
                 station.angle_deg,
                 f"within the limits of {wheel.name}, {low:g} to {high:g}",
             )
+
+
+def _solid_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    names: dict[str, int] = {}
+    links = [BASE, *(joint.name for joint in rig.arm_joints)]
+    if rig.solids and BASE in links[1:]:
+        place = rig.joint_index(BASE)
+        yield cross_field(f"joints[{place}].name", BASE, "another name: it is the link that stands still")
+    chains = (rig.arms.light, rig.arms.camera, rig.arms.sample)
+    for place, solid in enumerate(rig.solids):
+        where = f"solids[{place}]"
+        if solid.name in names:
+            yield cross_field(
+                f"{where}.name", solid.name, f"another name: solids[{names[solid.name]}] has it"
+            )
+        names[solid.name] = place
+        if solid.link not in links:
+            yield cross_field(
+                f"{where}.link",
+                solid.link,
+                f"{BASE} or a joint of the arms{nearest(solid.link, links)}; what a station wheel carries is "
+                "described as the ring or disc that it sweeps",
+            )
+        below = {chain[: chain.index(solid.link)] for chain in chains if solid.link in chain}
+        if len(below) > 1:
+            yield cross_field(
+                f"{where}.link", solid.link, "a joint that stands on the same joints in all arms"
+            )
+        if not isinstance(solid, Box | Sphere) and solid.from_mm == solid.to_mm:
+            yield cross_field(f"{where}.to_mm", list(solid.to_mm), "another point than from_mm")

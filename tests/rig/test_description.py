@@ -135,9 +135,9 @@ def test_hash_sees_the_machine_only(tmp_path: Path, full_text: str) -> None:
     for key, value in reversed(content.items()):
         if key == "name":
             shuffled.append(f"name = '{value}'  # first")
-        elif key == "joints":
-            for joint in value:
-                tables += ["[[joints]]", *(f"{k}={_toml(v)}" for k, v in reversed(joint.items()))]
+        elif key in {"joints", "solids"}:
+            for part in value:
+                tables += [f"[[{key}]]", *(f"{k}={_toml(v)}" for k, v in reversed(part.items()))]
         else:
             inline = ", ".join(f"{k} = {_toml(v)}" for k, v in reversed(value.items()))
             shuffled.append(f"{key} = {{{inline}}}")
