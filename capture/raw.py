@@ -1,24 +1,25 @@
 """RAW files to CFA counts: any camera through LibRaw, plain TIFF mosaics and our own DNG through a short cut.
 
 A RAW file stays what the sensor delivered: a linear mosaic of counts. Nothing here subtracts black, balances,
-interpolates or clips. The short cut reads uncompressed CFA files (TIFF or DNG) directly, 40 times faster than
-LibRaw, with exact rational exposure times, and equals LibRaw bit for bit; all others go through LibRaw.
+interpolates or clips. The short cut reads CFA files (TIFF or DNG; plain, or lossless JPEG where imagecodecs
+is installed) directly, several times faster than LibRaw, with exact rational exposure times, and equals
+LibRaw bit for bit; all others go through LibRaw.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture import tiff_tags
+from capture import libraw, tiff_tags
+from capture.mosaic import SEND_AGAIN, SpilledMosaic
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -26,12 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from capture.mosaic import Mosaic
+
 PathLike = str | os.PathLike[str]
-
-CHANNELS_RGB = ("R", "G", "B")
-CHANNELS_MONO = ("mono",)
-
-_NOT_RAW = "give a RAW file (DNG, NEF, CR2, ARW, ...) or an 8- or 16-bit TIFF mosaic"
 
 
 @dataclass(frozen=True)
@@ -69,20 +67,18 @@ class FrameInfo:
     height_px: int
 
 
-@dataclass(frozen=True, eq=False)
-class RawFrame:
-    """One RAW frame: the counts of the visible sensor area and what is needed to read them.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawHead:
+    """What is needed to read the counts of a RAW frame.
 
     Attributes
     ----------
-    counts : ndarray of uint16, shape (H, W)
-        The mosaic as stored, black included, in DN.
     cfa : ndarray of int, shape (2, 2)
         Channel index at each position of the 2 x 2 cell at the top left; both greens share one index.
     channels : tuple of str
         ``("R", "G", "B")``, or ``("mono",)`` for a sensor (or a TIFF) without colour information.
     black_dn : ndarray of float, shape (2, 2)
-        Black level at each position of the cell, in DN.
+        Black level at each position of the cell, in DN, as the file states it.
     white_dn : float
         Nominal clip level in DN, black included, as the file claims; often wrong, so measure it.
     exposure_s : float or None
@@ -99,9 +95,16 @@ class RawFrame:
         Whether the lamp was on; None where the file does not say.
     path : Path
         The file.
+    f_number : float or None
+        Focal length over aperture.
+    white_balance : tuple of float or None
+        Gains of red, green and blue that the camera chose, green 1; nothing here applies them.
+    linearised : bool
+        Whether the counts came through a table or curve of the file: steps between codes then differ.
+    optical_black_dn : ndarray of float, shape (2, 2), or None
+        Mean of the covered pixels beside the picture at each position of the cell; None where there are none.
     """
 
-    counts: NDArray[np.uint16]
     cfa: NDArray[np.int64]
     channels: tuple[str, ...]
     black_dn: NDArray[np.float64]
@@ -114,6 +117,36 @@ class RawFrame:
     shot_id: str | None
     lit: bool | None
     path: Path
+    f_number: float | None = None
+    white_balance: tuple[float, ...] | None = None
+    linearised: bool = False
+    optical_black_dn: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StreamedFrame(RawHead):
+    """One RAW frame whose counts stay on disk, to be read by rows.
+
+    Attributes
+    ----------
+    counts : Mosaic, shape (H, W)
+        As those of `RawFrame`.
+    """
+
+    counts: Mosaic
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawFrame(RawHead):
+    """One RAW frame: the counts of the visible sensor area and what is needed to read them.
+
+    Attributes
+    ----------
+    counts : ndarray of uint16, shape (H, W)
+        The mosaic as stored, black included, in DN.
+    """
+
+    counts: NDArray[np.uint16]
 
     @property
     def info(self) -> FrameInfo:
@@ -150,12 +183,29 @@ def read_raw(path: PathLike) -> RawFrame:
         The file is missing, empty, truncated, corrupt, not RAW, or of a mosaic other than 2 x 2 RGB or mono.
     """
     path = Path(path)
-    tags: Mapping[int, Any] = {}
-    if _is_tiff(path):
-        counts, tags = tiff_tags.read_mosaic(path)
-        if counts is not None:
-            return _frame_from_tags(path, counts, tags)
-    return _frame_from_libraw(path, tags)
+    mosaic, tags = _opened(path)
+    if mosaic is None:
+        return _frame_from_libraw(path, tags)
+    head = _head_from_tags(path, mosaic.dtype, tags)
+    return RawFrame(counts=mosaic[:].astype(np.uint16, copy=False), **head)
+
+
+def open_raw(path: PathLike) -> StreamedFrame:
+    """Open one RAW file whose counts are read by rows, later; arguments and errors as of `read_raw`.
+
+    A file that only LibRaw can decode is decoded once, now, and its counts put aside on disk.
+    """
+    path = Path(path)
+    mosaic, tags = _opened(path)
+    if mosaic is not None:
+        return StreamedFrame(counts=mosaic, **_head_from_tags(path, mosaic.dtype, tags))
+    frame = _frame_from_libraw(path, tags)
+    head = {item.name: getattr(frame, item.name) for item in fields(RawHead)}
+    return StreamedFrame(counts=SpilledMosaic(frame.counts), **head)
+
+
+def _opened(path: Path) -> tuple[Mosaic | None, Mapping[int, Any]]:
+    return tiff_tags.open_mosaic(path) if _is_tiff(path) else (None, {})
 
 
 def inspect_frame(path: PathLike) -> FrameInfo:
@@ -192,32 +242,37 @@ def _is_tiff(path: Path) -> bool:
             error.strerror or "unreadable", where=str(path), todo="check the path and its permissions"
         ) from None
     if not head:
-        raise BadInput("the file is empty", where=str(path), todo=tiff_tags.SEND_AGAIN)
+        raise BadInput("the file is empty", where=str(path), todo=SEND_AGAIN)
     return head in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}
 
 
-def _frame_from_tags(path: Path, counts: NDArray[Any], tags: Mapping[int, Any]) -> RawFrame:
+def _head_from_tags(path: Path, dtype: np.dtype[Any], tags: Mapping[int, Any]) -> dict[str, Any]:
     cfa, channels = tiff_tags.cfa(tags, path)
     white = tiff_tags.first_number(tags.get(tiff_tags.WHITE_LEVEL))
     if white is None:
-        white = float(np.iinfo(counts.dtype).max)
-    return RawFrame(
-        counts=counts.astype(np.uint16, copy=False),
-        cfa=cfa,
-        channels=channels,
-        black_dn=tiff_tags.black_level(tags, path),
-        white_dn=white,
-        path=path,
+        white = 2.0 ** (tiff_tags.first_number(tags.get(tiff_tags.BITS)) or 8 * dtype.itemsize) - 1.0
+    return {
+        "cfa": cfa,
+        "channels": channels,
+        "black_dn": tiff_tags.black_level(tags, path),
+        "white_dn": white,
+        "path": path,
+        "white_balance": tiff_tags.white_balance(tags),
         **_identity(path, tags),
-    )
+    }
 
 
 def _identity(
-    path: Path, tags: Mapping[int, Any], *, shutter_s: float | None = None, iso: float | None = None
+    path: Path,
+    tags: Mapping[int, Any],
+    *,
+    shutter_s: float | None = None,
+    iso: float | None = None,
+    f_number: float | None = None,
 ) -> dict[str, Any]:
     """Camera, exposure and identity from TIFF tags and our own description; else what LibRaw knows."""
     ours = _description(tags, path)
-    shutter = tiff_tags.seconds(tags.get(tiff_tags.EXPOSURE_TIME)) or shutter_s
+    shutter = tiff_tags.positive(tags.get(tiff_tags.EXPOSURE_TIME)) or shutter_s
     exposure, lit, shot = (ours.get(key) for key in ("exposure_s", "lit", "shot_id"))
     serial = ours.get("camera_serial") or tags.get(tiff_tags.CAMERA_SERIAL) or tags.get(tiff_tags.BODY_SERIAL)
     return {
@@ -226,6 +281,7 @@ def _identity(
         "camera_serial": str(serial).strip() if serial else None,
         "camera_model": tiff_tags.camera_model(tags),
         "iso": tiff_tags.first_number(tags.get(tiff_tags.ISO)) or iso,
+        "f_number": tiff_tags.positive(tags.get(tiff_tags.F_NUMBER)) or f_number,
         "shot_id": None if shot is None else str(shot),
         "lit": None if lit is None else bool(lit),
     }
@@ -239,9 +295,7 @@ def _description(tags: Mapping[int, Any], path: Path) -> dict[str, Any]:
     try:
         value = json.loads(text)
     except ValueError:
-        raise BadInput(
-            "its ImageDescription is damaged", where=str(path), todo=tiff_tags.SEND_AGAIN
-        ) from None
+        raise BadInput("its ImageDescription is damaged", where=str(path), todo=SEND_AGAIN) from None
     return value if isinstance(value, dict) and "gonio" in value else {}
 
 
@@ -256,89 +310,16 @@ def _stated_seconds(value: object, path: Path) -> float:
 
 
 def _frame_from_libraw(path: Path, tags: Mapping[int, Any]) -> RawFrame:
-    import rawpy
-
-    try:
-        with _open_with_libraw(path) as raw:
-            cfa, channels, colours = _libraw_cfa(raw, path)
-            counts = raw.raw_image_visible.copy()  # the view dies with the file
-            black = np.asarray(raw.black_level_per_channel, dtype=np.float64)
-            other = raw.other
-            white = float(raw.white_level)
-    except rawpy.LibRawFileUnsupportedError:
-        raise BadInput("not a RAW file that can be read", where=str(path), todo=_NOT_RAW) from None
-    except rawpy.LibRawError as error:
-        reason = error.args[0] if error.args else "unreadable"
-        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise BadInput(f"truncated or corrupt ({text})", where=str(path), todo=tiff_tags.SEND_AGAIN) from None
+    found = libraw.decode(path)
     return RawFrame(
-        counts=counts,
-        cfa=cfa,
-        channels=channels,
-        # LibRaw indexes black by colour (R, G, B, second G), not by position.
-        black_dn=black[colours] if len(channels) > 1 else np.full((2, 2), black[0]),
-        white_dn=white,
+        counts=found.counts,
+        cfa=found.cfa,
+        channels=found.channels,
+        black_dn=found.black_dn,
+        white_dn=found.white_dn,
         path=path,
-        **_identity(
-            path,
-            tags,
-            shutter_s=_simplest_seconds(other.shutter_speed),
-            iso=float(other.iso_speed) or None,
-        ),
+        white_balance=tiff_tags.white_balance(tags) or found.white_balance,
+        linearised=found.linearised or tiff_tags.LINEARISATION in tags,
+        optical_black_dn=found.optical_black_dn,
+        **_identity(path, tags, shutter_s=found.shutter_s, iso=found.iso, f_number=found.f_number),
     )
-
-
-def _open_with_libraw(path: Path) -> Any:
-    import rawpy
-
-    try:
-        return rawpy.imread(str(path))
-    except UnicodeEncodeError:  # LibRaw takes only names that are text
-        return rawpy.imread(io.BytesIO(path.read_bytes()))
-
-
-def _libraw_cfa(raw: Any, path: Path) -> tuple[NDArray[np.int64], tuple[str, ...], NDArray[np.int64]]:
-    """Channel per position of the visible area's first cell, channel names, and LibRaw's colour indices."""
-    import rawpy
-
-    if raw.raw_type != rawpy.RawType.Flat:
-        raise BadInput(
-            "it holds interpolated colours, not a mosaic",
-            where=str(path),
-            todo="let the camera write plain RAW",
-        )
-    pattern = raw.raw_pattern  # relative to the visible area, also where the margins are odd
-    if pattern is None or raw.num_colors == 1 or pattern.shape == (1, 1):
-        flat = np.zeros((2, 2), dtype=np.int64)
-        return flat, CHANNELS_MONO, flat
-    if pattern.shape != (2, 2):
-        rows, cols = pattern.shape
-        raise BadInput(
-            f"its colour filter repeats every {rows} x {cols} pixels (X-Trans?), only 2 x 2 is supported",
-            where=str(path),
-            todo="use a camera with a Bayer or a monochrome sensor",
-        )
-    letters = raw.color_desc.decode(errors="replace")
-    names = [letters[index] for index in pattern.ravel()]
-    if not set(names) <= set(CHANNELS_RGB):
-        raise BadInput(
-            f"its colour filters are {''.join(names)}, only red, green and blue are supported",
-            where=str(path),
-            todo="use a camera with a Bayer or a monochrome sensor",
-        )
-    cfa = np.array([CHANNELS_RGB.index(name) for name in names], dtype=np.int64).reshape(2, 2)
-    return cfa, CHANNELS_RGB, pattern.astype(np.int64)
-
-
-def _simplest_seconds(stored: float) -> float | None:
-    """Return the simplest fraction that float32 cannot tell from LibRaw's time: 0.00800000038 is 1/125."""
-    if not (math.isfinite(stored) and stored > 0.0):
-        return None
-    exact = Fraction(stored)
-    limit = 1
-    while limit < 10**9:
-        candidate = exact.limit_denominator(limit)
-        if candidate > 0 and np.float32(float(candidate)) == np.float32(stored):
-            return float(candidate)
-        limit *= 2
-    return float(stored)

@@ -1,16 +1,18 @@
-"""Uncompressed CFA mosaics in TIFF and DNG: the pixels and the tags that say how to read them.
+"""CFA mosaics in TIFF and DNG, plain or lossless JPEG: the pixels and the tags that say how to read them.
 
 Tag numbers and their meaning: TIFF 6.0, TIFF/EP (ISO 12234-2) and the DNG specification 1.7.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture.mosaic import SEND_AGAIN, FileMosaic
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from capture.mosaic import Mosaic
+
+BITS = 258
 IMAGE_DESCRIPTION = 270
 MAKE = 271
 MODEL = 272
@@ -26,24 +31,27 @@ SUB_IFDS = 330
 CFA_REPEAT = 33421
 CFA_PATTERN = 33422
 EXPOSURE_TIME = 33434
+F_NUMBER = 33437
 EXIF = 34665
 ISO = 34855
 BODY_SERIAL = 42033
 DNG_VERSION = 50706
 UNIQUE_MODEL = 50708
+LINEARISATION = 50712
 BLACK_REPEAT = 50713
 BLACK_LEVEL = 50714
 WHITE_LEVEL = 50717
+AS_SHOT_NEUTRAL = 50728
 CAMERA_SERIAL = 50735
 
 _GRAYSCALE, _CFA = 1, 32803
-_UNCOMPRESSED = 1
+_UNCOMPRESSED, _JPEG = 1, 7
 _RATIONAL, _SIGNED_RATIONAL = 5, 10
 
 NEEDS_LIBRAW = frozenset(
     {
         50711,  # CFALayout: staggered rows or columns
-        50712,  # LinearizationTable: the stored counts are not linear
+        LINEARISATION,  # the stored counts are not linear
         50715,  # BlackLevelDeltaH
         50716,  # BlackLevelDeltaV
         50829,  # ActiveArea: margins
@@ -52,20 +60,23 @@ NEEDS_LIBRAW = frozenset(
 )
 """Tags whose presence makes a mosaic more than its stored pixels."""
 
-SEND_AGAIN = "copy it from the camera again, or leave it out"
-"""What to do about a damaged file."""
-
 MAX_PIXELS = 400_000_000
 """More than any sensor has: a larger size is a damaged header, not a picture to find memory for."""
 
-_EXIF_NAMES = {"ExposureTime": EXPOSURE_TIME, "ISOSpeedRatings": ISO, "BodySerialNumber": BODY_SERIAL}
+_EXIF_NAMES = {
+    "ExposureTime": EXPOSURE_TIME,
+    "FNumber": F_NUMBER,
+    "ISOSpeedRatings": ISO,
+    "BodySerialNumber": BODY_SERIAL,
+}
+_EXIF_RATIOS = frozenset({"ExposureTime", "FNumber"})
 
 # tifffile reports damaged files on its logger and goes on; our own errors say it once, in one line.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
-def read_mosaic(path: Path) -> tuple[NDArray[Any] | None, dict[int, Any]]:
-    """Read a file in TIFF's container.
+def open_mosaic(path: Path) -> tuple[Mosaic | None, dict[int, Any]]:
+    """Open a file in TIFF's container.
 
     Parameters
     ----------
@@ -74,8 +85,9 @@ def read_mosaic(path: Path) -> tuple[NDArray[Any] | None, dict[int, Any]]:
 
     Returns
     -------
-    counts : ndarray of uint8 or uint16, shape (H, W), or None
-        The mosaic; None where the file is a camera's RAW that needs LibRaw.
+    mosaic : FileMosaic, ndarray or None
+        Counts of uint8 or uint16, shape (H, W), read by rows where the file allows it; None where the file is
+        a camera's RAW that needs LibRaw.
     tags : dict
         Value by tag number, of the first directory and its EXIF directory; rationals as numbers.
 
@@ -96,6 +108,8 @@ def read_mosaic(path: Path) -> tuple[NDArray[Any] | None, dict[int, Any]]:
             if not mosaic_here:
                 return None, tags
             _check_extent(page, path)
+            if page.photometric == _CFA:
+                return _file_mosaic(page, path), tags
             return np.ascontiguousarray(page.asarray()), tags
     except BadInput:
         raise
@@ -122,7 +136,7 @@ def _tags(page: Any) -> dict[int, Any]:
         for name, code in _EXIF_NAMES.items():
             if name in exif and code not in tags:
                 value = exif[name]
-                tags[code] = _ratios(value) if name == "ExposureTime" else value
+                tags[code] = _ratios(value) if name in _EXIF_RATIOS else value
     return tags
 
 
@@ -133,15 +147,48 @@ def _ratios(value: tuple[int, ...]) -> tuple[float, ...]:
 
 def _is_plain_mosaic(page: Any, tags: Mapping[int, Any]) -> bool:
     """Whether the stored pixels are the mosaic itself, so that no RAW decoder is needed."""
+    if page.samplesperpixel != 1 or len(page.shape) != 2:
+        return False
+    lossless = page.compression == _JPEG and 8 < page.bitspersample <= 16  # lossy JPEG has eight bits
     depth_fits = page.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)} and page.bitspersample in {8, 16}
-    if not depth_fits or page.samplesperpixel != 1 or len(page.shape) != 2:
+    if not (depth_fits or lossless):
         return False
     if page.photometric == _CFA:
         repeats = tuple(np.atleast_1d(tags.get(CFA_REPEAT, (2, 2))))
-        stored_as_is = page.compression == _UNCOMPRESSED and not (NEEDS_LIBRAW & tags.keys())
-        return stored_as_is and repeats == (2, 2) and (page.bitspersample == 16 or DNG_VERSION not in tags)
+        plain = page.compression == _UNCOMPRESSED and (page.bitspersample == 16 or DNG_VERSION not in tags)
+        readable = plain or (lossless and page.jpegtables is None and _has_imagecodecs())
+        return readable and repeats == (2, 2) and page.fillorder == 1 and not (NEEDS_LIBRAW & tags.keys())
     camera_file = {SUB_IFDS, EXIF, DNG_VERSION} & tags.keys()
     return page.photometric == _GRAYSCALE and not camera_file
+
+
+def _has_imagecodecs() -> bool:
+    return importlib.util.find_spec("imagecodecs") is not None
+
+
+def _file_mosaic(page: Any, path: Path) -> FileMosaic:
+    """Describe where the counts of a checked page lie."""
+    height, width = int(page.imagelength), int(page.imagewidth)
+    deep, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, width)
+    deep = int(min(deep, height)) if not page.is_tiled else int(deep)
+    segments = -(-height // deep) * -(-width // int(wide))
+    rows = [deep if page.is_tiled else min(deep, height - top) for top in range(0, height, deep)]
+    least = 0 if page.compression == _JPEG else int(wide) * page.dtype.itemsize
+    across = -(-width // int(wide))
+    short = any(size < rows[index // across] * least for index, size in enumerate(page.databytecounts))
+    if len(page.dataoffsets) != segments or short:
+        what = f"truncated or corrupt: {len(page.dataoffsets)} segments, {segments} whole ones announced"
+        raise BadInput(what, where=str(path), todo=SEND_AGAIN)
+    return FileMosaic(
+        path=path,
+        shape=(height, width),
+        stored=np.dtype(page.dtype).newbyteorder(page.parent.byteorder),
+        offsets=tuple(int(offset) for offset in page.dataoffsets),
+        sizes=tuple(int(size) for size in page.databytecounts),
+        segment_shape=(deep, int(wide)),
+        tiled=bool(page.is_tiled),
+        compressed=page.compression == _JPEG,
+    )
 
 
 def _check_extent(page: Any, path: Path) -> None:
@@ -165,10 +212,20 @@ def first_number(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def seconds(value: Any) -> float | None:
-    """Return an exposure time from its tag; None where it is absent, zero or damaged."""
+def positive(value: Any) -> float | None:
+    """Return an exposure time or f-number from its tag; None where it is absent, zero or damaged."""
     number = first_number(value)
     return number if number is not None and number > 0.0 else None
+
+
+def white_balance(tags: Mapping[int, Any]) -> tuple[float, ...] | None:
+    """Gains of red, green and blue, green 1, from a DNG's neutral colour; None where it states none."""
+    neutral = tags.get(AS_SHOT_NEUTRAL)
+    if not isinstance(neutral, tuple) or len(neutral) != 3:
+        return None
+    if not all(isinstance(value, float) and math.isfinite(value) and value > 0.0 for value in neutral):
+        return None
+    return tuple(neutral[1] / value for value in neutral)
 
 
 def camera_model(tags: Mapping[int, Any]) -> str | None:

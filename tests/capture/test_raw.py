@@ -13,7 +13,8 @@ import rawpy
 import tifffile
 
 from capture import tiff_tags
-from capture.raw import inspect_frame, read_raw
+from capture.mosaic import SpilledMosaic
+from capture.raw import inspect_frame, open_raw, read_raw
 from rig.errors import BadInput
 from simulator.dng import DngMeta, write_dng
 
@@ -38,7 +39,7 @@ def cfa_file(
     return path
 
 
-def twin_file(path: Path, counts: NDArray[np.uint16], **changes: Any) -> Path:
+def twin_file(path: Path, counts: NDArray[np.uint16], *, lossless: bool = False, **changes: Any) -> Path:
     """Write a frame as the twin does."""
     description = {
         "gonio": 1,
@@ -55,7 +56,7 @@ def twin_file(path: Path, counts: NDArray[np.uint16], **changes: Any) -> Path:
         iso=200,
         description={**description, **changes},
     )
-    write_dng(path, counts, meta)
+    write_dng(path, counts, meta, lossless=lossless)
     return path
 
 
@@ -66,13 +67,16 @@ def through_libraw(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         return read_raw(path)
 
 
-@pytest.mark.parametrize("shape", [(96, 128), (101, 151), (22, 23)])
+@pytest.mark.parametrize("lossless", [False, True])
+@pytest.mark.parametrize("shape", [(96, 128), (101, 151), (22, 23), (520, 530)])
 def test_short_cut_equals_libraw_on_our_own_file(
-    tmp_path: Path, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, shape: tuple[int, int], lossless: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Would catch a short cut that reads other counts, colours or black levels than LibRaw."""
+    if lossless:
+        pytest.importorskip("imagecodecs")
     counts = mosaic(shape)
-    path = twin_file(tmp_path / "a.dng", counts)
+    path = twin_file(tmp_path / "a.dng", counts, lossless=lossless)
     fast, slow = read_raw(path), through_libraw(path, monkeypatch)
     with rawpy.imread(str(path)) as raw:
         assert np.array_equal(fast.counts, raw.raw_image_visible)
@@ -186,16 +190,104 @@ def test_linearisation_table_goes_through_libraw(tmp_path: Path) -> None:
     counts = (mosaic() % 256).astype(np.uint16)
     table = np.arange(256, dtype=np.uint16) * 3
     path = cfa_file(tmp_path / "a.dng", counts, extra=((50712, 3, 256, tuple(table.tolist()), True),))
-    assert np.array_equal(read_raw(path).counts, table[counts])
+    frame = read_raw(path)
+    assert np.array_equal(frame.counts, table[counts])
+    assert frame.linearised
+    assert not read_raw(
+        cfa_file(tmp_path / "b.dng", counts, extra=((50829, 3, 4, (0, 0, 96, 128), True),))
+    ).linearised
 
 
-def test_lossless_jpeg_goes_through_libraw(tmp_path: Path) -> None:
-    """Would catch compressed DNGs read as if they were not, or refused."""
+@pytest.mark.parametrize("has_decoder", [False, True])
+def test_lossless_jpeg_of_others(tmp_path: Path, has_decoder: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch compressed DNGs read as if they were not, or refused without a decoder of our own."""
     pytest.importorskip("imagecodecs")
-    counts = mosaic((64, 64))
+    counts = mosaic((70, 64))
     arguments = {"lossless": True, "bitspersample": 16}
     path = cfa_file(tmp_path / "a.dng", counts, compression="jpeg", compressionargs=arguments, tile=(64, 64))
+    monkeypatch.setattr(tiff_tags, "_has_imagecodecs", lambda: has_decoder)
     assert np.array_equal(read_raw(path).counts, counts)
+
+
+def test_two_components_are_neighbouring_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch the way in which most cameras and converters compress a mosaic read as two pictures."""
+    imagecodecs = pytest.importorskip("imagecodecs")
+    counts = mosaic((64, 128))
+    pairs = np.ascontiguousarray(counts.reshape(64, 64, 2))
+    tile = bytes(imagecodecs.jpeg_encode(pairs, lossless=True, bitspersample=16))
+    path = tmp_path / "a.dng"
+    options = {"shape": (64, 128), "dtype": np.uint16, "tile": (64, 128), "compression": 7}
+    tags = [*CFA_TAGS, (33422, 1, 4, bytes(PATTERNS["RGGB"]), True)]
+    tifffile.imwrite(path, iter([tile]), photometric=32803, metadata=None, extratags=tags, **options)
+    assert np.array_equal(through_libraw(path, monkeypatch).counts, counts)
+    monkeypatch.setattr("capture.raw._frame_from_libraw", None)
+    assert np.array_equal(read_raw(path).counts, counts)
+
+
+@pytest.mark.parametrize("place", ["size", "end", "marker"])
+def test_damaged_lossless_jpeg_is_named(tmp_path: Path, place: str) -> None:
+    """Would catch a damaged tile that becomes zeros, or takes memory for a giant."""
+    pytest.importorskip("imagecodecs")
+    path = twin_file(tmp_path / "a.dng", mosaic((600, 560)), lossless=True)
+    data = bytearray(path.read_bytes())
+    header = data.index(b"\xff\xc3")
+    if place == "size":
+        data[header + 5 : header + 9] = b"\xff\xff\xff\xff"
+    elif place == "end":
+        data = data[:-2000]
+    else:
+        data[header + 1] = 0xC0
+    path.write_bytes(bytes(data))
+    with pytest.raises(BadInput, match=r"a\.dng.*truncated or corrupt"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+@pytest.mark.parametrize("rows", [slice(0, 5), slice(509, 515), slice(600, 700), slice(3, 3), slice(None)])
+def test_rows_of_a_file(tmp_path: Path, lossless: bool, rows: slice) -> None:
+    """Would catch rows read from another place of the file, or a seam between tiles."""
+    if lossless:
+        pytest.importorskip("imagecodecs")
+    counts = mosaic((620, 530))
+    path = twin_file(tmp_path / "a.dng", counts, lossless=lossless)
+    frame = open_raw(path)
+    assert frame.counts.shape == counts.shape
+    assert np.array_equal(frame.counts[rows], counts[rows])
+    assert np.array_equal(SpilledMosaic(counts)[rows], counts[rows])
+
+
+def test_file_cut_while_it_is_read(tmp_path: Path) -> None:
+    """Would catch rows that are gone read as zeros."""
+    path = twin_file(tmp_path / "a.dng", mosaic())
+    frame = open_raw(path)
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(BadInput, match=r"a\.dng.*truncated"):
+        frame.counts[:]
+
+
+def test_strips_tiles_and_byte_orders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch a layout of another program read askew."""
+    counts = mosaic((101, 151))
+    for index, options in enumerate(
+        ({"rowsperstrip": 7}, {"tile": (32, 48)}, {"byteorder": ">"}, {"rowsperstrip": 1000})
+    ):
+        path = cfa_file(tmp_path / f"{index}.dng", counts, **options)
+        assert np.array_equal(through_libraw(path, monkeypatch).counts, counts)
+        assert np.array_equal(read_raw(path).counts, counts)
+        assert np.array_equal(open_raw(path).counts[33:90], counts[33:90])
+
+
+def test_margins_tell_the_optical_black(tmp_path: Path) -> None:
+    """Would catch covered pixels counted with the picture, or by the wrong position of the cell."""
+    counts = np.full((100, 140), 3000, np.uint16)
+    margin = np.tile(np.array([[500, 510], [520, 530]], np.uint16), (50, 70))
+    counts[:, :20] = margin[:, :20]
+    counts[:, 0] = 40  # a column that is not read out
+    area = ((50829, 3, 4, (0, 20, 100, 140), True),)
+    frame = read_raw(cfa_file(tmp_path / "a.dng", counts, extra=area))
+    assert frame.optical_black_dn is not None
+    assert frame.optical_black_dn.tolist() == [[500, 510], [520, 530]]
+    assert read_raw(twin_file(tmp_path / "b.dng", counts)).optical_black_dn is None
 
 
 def test_x_trans_is_refused_in_words(tmp_path: Path) -> None:
@@ -267,7 +359,7 @@ def test_exposure_is_the_simplest_fraction(tmp_path: Path, monkeypatch: pytest.M
         path = cfa_file(tmp_path / "a.dng", mosaic(), extra=tag)
         assert read_raw(path).exposure_s == numerator / denominator
         with monkeypatch.context() as patch:
-            patch.setattr(tiff_tags, "read_mosaic", lambda _: (None, {}))
+            patch.setattr(tiff_tags, "open_mosaic", lambda _: (None, {}))
             assert read_raw(path).exposure_s == numerator / denominator
 
 

@@ -19,19 +19,19 @@ def frame_of(counts: np.ndarray, channels: tuple[str, ...] = ("R", "G", "B")) ->
     """Return a frame with these counts, of nobody's camera."""
     cfa = RGGB if len(channels) == 3 else np.zeros((2, 2), dtype=np.int64)
     return RawFrame(
-        counts.astype(np.uint16),
-        cfa,
-        channels,
-        BLACK,
-        15000.0,
-        1.0,
-        1.0,
-        None,
-        None,
-        None,
-        None,
-        True,
-        Path("f"),
+        counts=counts.astype(np.uint16),
+        cfa=cfa,
+        channels=channels,
+        black_dn=BLACK,
+        white_dn=15000.0,
+        exposure_s=1.0,
+        shutter_s=1.0,
+        camera_serial=None,
+        camera_model=None,
+        iso=None,
+        shot_id=None,
+        lit=True,
+        path=Path("f"),
     )
 
 
