@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.angles import unit
-from rig.kinematics import Kinematics
-from rig.pixels import pixel_geometry
+from simulator.light.looks import Looks
 from simulator.light.reflectance import material_reflectance
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from simulator.light.scene import Scene
 
+    Reflectance = Callable[["Array", "Array"], "Array"]
+
 Array = NDArray[np.float64]
+Pose = tuple[float, ...]
 
-_ROWS = 8
+_ROWS = 6
 """Rows and columns of pixels, of the whole frame, that are looked at."""
+_GAUSS = 1.0 / np.sqrt(12.0)
+_FOOTPRINT = ((0.0, 0.0), *((v, u) for v in (-_GAUSS, _GAUSS) for u in (-_GAUSS, _GAUSS)))
+"""A pixel's centre, and Gauss's four nodes of its footprint: (down, right)."""
 _DISC = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]) / 2.0
-"""Equal-weight nodes on the unit disc, exact for polynomials of degree 3; a pixel's are Gauss's."""
-_FOOTPRINT = ((0, 0), (1, 1), (1, 2), (2, 1), (2, 2))
-"""Of the offsets (0, -, +) of row and column: a pixel's centre and the four nodes of its footprint."""
+"""Equal-weight nodes on the unit disc, exact for polynomials of degree 3."""
+_REMEMBERED = 4096
+"""Poses of a scene whose errors are kept: several methods leave out the same, and ask one after another."""
+
+_KNOWN: WeakKeyDictionary[Scene, dict[tuple[Any, Pose], float]] = WeakKeyDictionary()
+_LOOKS: WeakKeyDictionary[Scene, Looks] = WeakKeyDictionary()
 
 
-@lru_cache(maxsize=4)
-def pose_error(mi: Any, scene: Scene, angles_rad: tuple[float, ...]) -> float:
-    """Return `point_error` of a scene at a pose, asked once: several methods leave out the same.
+def pose_error(mi: Any, scene: Scene, angles_rad: Pose) -> float:
+    """Return the error at one pose; see `pose_errors`.
 
     Parameters
     ----------
@@ -40,13 +46,34 @@ def pose_error(mi: Any, scene: Scene, angles_rad: tuple[float, ...]) -> float:
     angles_rad : tuple of float
         True angles of the arm joints.
     """
-    return point_error(scene, material_reflectance(mi, scene.material), angles_rad)
+    return pose_errors(mi, scene, [angles_rad])[0]
 
 
-def point_error(
-    scene: Scene, reflectance: Callable[[Array, Array], Array], angles_rad: Sequence[float]
-) -> float:
-    """Estimate the error of f_r E at pixel centres, for a point lamp and a pinhole.
+def pose_errors(mi: Any, scene: Scene, poses_rad: Iterable[Pose]) -> list[float]:
+    """Return `point_errors` of a scene at poses, asked for once each.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, `simulator.bsdfs` registered.
+    scene : Scene
+    poses_rad : iterable of tuple of float
+        True angles of the arm joints.
+    """
+    asked = list(poses_rad)
+    known = _KNOWN.setdefault(scene, {})
+    new = list(dict.fromkeys(pose for pose in asked if (mi, pose) not in known))
+    if new:
+        if len(known) + len(new) > _REMEMBERED:
+            known.clear()
+            new = list(dict.fromkeys(asked))
+        errors = point_errors(scene, material_reflectance(mi, scene.material), new)
+        known |= {(mi, pose): float(error) for pose, error in zip(new, errors, strict=True)}
+    return [known[mi, pose] for pose in asked]
+
+
+def point_errors(scene: Scene, reflectance: Reflectance, poses_rad: Sequence[Sequence[float]]) -> Array:
+    """Estimate the errors of f_r E at pixel centres, for a point lamp and a pinhole.
 
     The means over a pixel, over the pupil and over the lamp's disc are each taken with four nodes. Where the
     lobe is so narrow that four do not do, they still show that one does not.
@@ -56,62 +83,65 @@ def point_error(
     scene : Scene
     reflectance : callable
         (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in 1/sr.
-    angles_rad : sequence of float
-        True angles of the arm joints.
+    poses_rad : sequence of sequences of float
+        True angles of the arm joints, of P poses.
 
     Returns
     -------
-    float
+    ndarray, shape (P,)
         RMS over the sample's pixels, relative to their mean radiance; 0 where the sample is not seen or dark.
     """
-    rig = scene.rig
-    frames = Kinematics(rig).frames(angles_rad)
-    rows, cols = (np.linspace(0, n - 1, min(n, _ROWS)) for n in (rig.camera.height_px, rig.camera.width_px))
-    seen = pixel_geometry(rig, angles_rad, rows=rows, cols=cols).on_sample
-    if not seen.any():
-        rows, cols = (np.arange(float(n)) for n in (rig.camera.height_px, rig.camera.width_px))
-        seen = pixel_geometry(rig, angles_rad).on_sample
-        if not seen.any():
-            return 0.0
-    # Each pixel's centre, then four points of its footprint.
-    offsets = np.array([0.0, -1.0, 1.0]) / np.sqrt(12.0)
-    fine = pixel_geometry(
-        rig, angles_rad, rows=np.add.outer(rows, offsets).ravel(), cols=np.add.outer(cols, offsets).ravel()
-    ).position_mm.reshape(len(rows), 3, len(cols), 3, 2)
-    points = [fine[:, v, :, u][seen] for v, u in _FOOTPRINT]
-    centre = points[0]
-    camera, lamp = frames.camera_mm, frames.light_mm
-    places = np.concatenate([*points, *[centre] * 8])
-    cameras = [camera] * 5 + list(_disc(camera, rig.camera.aperture_diameter_mm / 2.0)) + [camera] * 4
-    lamps = [lamp] * 9 + list(_disc(lamp, scene.lamp_radius_mm))
-    found = _radiance(
-        scene,
-        reflectance,
-        np.column_stack([places, np.zeros(len(places))]),
-        np.repeat(cameras, len(centre), axis=0),
-        np.repeat(lamps, len(centre), axis=0),
-    ).reshape(13, len(centre), 3)
+    if scene not in _LOOKS:
+        _LOOKS[scene] = Looks(scene.rig, _ROWS, _FOOTPRINT)
+    return _errors(scene, reflectance, np.asarray(poses_rad, dtype=np.float64), _LOOKS[scene])
+
+
+def _errors(
+    scene: Scene, reflectance: Reflectance, poses: Array, looks: Looks, *, every: bool = False
+) -> Array:
+    """Estimate errors at places of the frame; poses that show no sample there are looked at everywhere."""
+    look = looks.at(poses)
+    errors = np.zeros(len(poses))
+    lost = ~look.seen.any(axis=1)
+    if lost.any() and not every:
+        errors[lost] = _errors(scene, reflectance, poses[lost], looks.all_pixels(), every=True)
+    pupil = _discs(look.camera_mm, scene.rig.camera.aperture_diameter_mm / 2.0)
+    lamp = _discs(look.light_mm, scene.lamp_radius_mm)
+    # Per pixel: its centre and four points of it, four of the pupil, four of the lamp.
+    centre = look.points_mm[:, :1]
+    points = np.concatenate([look.points_mm, np.repeat(centre, 8, axis=1)], axis=1)
+    cameras, lamps = (
+        np.repeat(place[:, None], len(_FOOTPRINT) + 8, axis=1) for place in (look.camera_mm, look.light_mm)
+    )
+    cameras[:, 5:9], lamps[:, 9:] = pupil, lamp
+    seen = np.broadcast_to(look.seen[:, None], points.shape[:3])
+    cameras, lamps = (np.broadcast_to(place[:, :, None], points.shape)[seen] for place in (cameras, lamps))
+    found = np.zeros(points.shape)
+    found[seen] = _radiance(scene, reflectance, points[seen], cameras, lamps)
     if scene.lamp_cosine:
-        way = lamp - np.column_stack([centre, np.zeros(len(centre))])
+        facing = look.light_mm / np.linalg.norm(look.light_mm, axis=-1, keepdims=True)
+        way = look.light_mm[:, None] - centre[:, 0]
+        along = np.einsum("pni,pi->pn", way, facing) / np.linalg.norm(way, axis=-1)
         # A disc's irradiance falls short of a point's by the second factor: it is made up for.
-        made_up = 1.0 + scene.lamp_radius_mm**2 / float(lamp @ lamp)
-        found[9:] *= made_up * (unit(way) @ unit(lamp))[:, None]
-    left_out = found[1:].reshape(3, 4, len(centre), 3).mean(axis=1).sum(axis=0) - 3.0 * found[0]
-    mean = found[0].mean()
-    return float(np.sqrt(np.mean(left_out**2)) / mean) if mean > 0.0 else 0.0
+        made_up = 1.0 + scene.lamp_radius_mm**2 / np.sum(look.light_mm**2, axis=-1)
+        found[:, 9:] *= (made_up[:, None] * along)[:, None, :, None]
+    parts = found[:, 1:].reshape(len(poses), 3, 4, *found.shape[2:])
+    left_out = parts.mean(axis=2).sum(axis=1) - 3.0 * found[:, 0]
+    for pose in np.flatnonzero(~lost):
+        seen = look.seen[pose]
+        mean = found[pose, 0, seen].mean()
+        if mean > 0.0:
+            errors[pose] = np.sqrt(np.mean(left_out[pose, seen] ** 2)) / mean
+    return errors
 
 
 def _radiance(
-    scene: Scene,
-    reflectance: Callable[[Array, Array], Array],
-    points_mm: Array,
-    camera_mm: Array,
-    lamp_mm: Array,
+    scene: Scene, reflectance: Reflectance, points_mm: Array, camera_mm: Array, lamp_mm: Array
 ) -> Array:
     """Radiance (N, 3) of points lit by a point lamp, seen from a point each."""
-    way = lamp_mm - points_mm
-    distance = np.linalg.norm(way, axis=-1)
-    wi, wo = way / distance[:, None], unit(camera_mm - points_mm)
+    way, back = lamp_mm - points_mm, camera_mm - points_mm
+    distance = np.sqrt(np.sum(way**2, axis=-1))
+    wi, wo = way / distance[:, None], back / np.sqrt(np.sum(back**2, axis=-1))[:, None]
     above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
     found = np.zeros((len(points_mm), 3))
     irradiance = scene.lamp_intensity * wi[above, 2] / distance[above] ** 2
@@ -119,8 +149,11 @@ def _radiance(
     return found
 
 
-def _disc(centre_mm: Array, radius_mm: float) -> Array:
-    """Nodes (4, 3) of a disc that faces the origin."""
-    facing = unit(centre_mm)
-    across = unit(np.cross(np.eye(3)[np.argmin(np.abs(facing))], facing))
-    return np.asarray(centre_mm + radius_mm * _DISC @ np.stack([across, np.cross(facing, across)]))
+def _discs(centres_mm: Array, radius_mm: float) -> Array:
+    """Nodes (P, 4, 3) of discs that face the origin."""
+    facing = centres_mm / np.linalg.norm(centres_mm, axis=-1, keepdims=True)
+    across = np.cross(np.eye(3)[np.argmin(np.abs(facing), axis=-1)], facing)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    up = np.cross(facing, across)
+    sides = radius_mm * (_DISC[:, :1] * across[:, None] + _DISC[:, 1:] * up[:, None])
+    return np.asarray(centres_mm[:, None] + sides)
