@@ -1,8 +1,7 @@
-"""Captures on the twin: poses, frames, documents, death at every step and on again, no wheel."""
+"""Captures on the twin: poses, frames, documents, faults that pass and that stay, no wheel."""
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import signal
@@ -13,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from capture import store as store_module
 from capture.journal import Journal
 from capture.raw import read_raw
 from capture.run import capture, resume
@@ -125,58 +123,6 @@ def test_documents_tell_runs_and_readings(reference: Path) -> None:
     events = [document["data"]["camera_shot_id"] for name, document in lines if name == "event"]
     with Session.open(reference) as session:
         assert events == [shot.shot_id for shot in session.journal.shots()]
-
-
-STEPS: list[tuple[Any, str]] = [
-    (Journal, "hold"),
-    (Journal, "intend"),
-    (Machine, "shoot"),
-    (Journal, "file"),
-    (store_module, "write_durably"),
-    (Journal, "verify"),
-    (Journal, "finish"),
-]
-
-
-@pytest.mark.parametrize(
-    "case",
-    [(place, step, after) for (place, step), after in itertools.product(STEPS, [False, True])],
-    ids=[f"{when} {step}" for (_, step), when in itertools.product(STEPS, ["before", "after"])],
-)
-def test_a_death_at_any_step_leaves_no_trace_in_the_data(  # noqa: PLR0917 - fixtures
-    twin: Twin,
-    reference: Path,
-    tmp_path: Path,
-    make_plan: Callable[..., Plan],
-    monkeypatch: pytest.MonkeyPatch,
-    case: tuple[Any, str, bool],
-) -> None:
-    """Would catch a resumed session that differs from an uninterrupted one by a single bit."""
-    place, step, after = case
-    out = tmp_path / "s"
-    real = getattr(place, step)
-    calls = 0
-
-    def die(*args: Any, **options: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        result = real(*args, **options) if calls != 4 or after else None
-        if calls == 4:
-            raise RuntimeError("killed")
-        return result
-
-    with monkeypatch.context() as patch:
-        patch.setattr(place, step, die)
-        if step == "write_durably":
-            calls = -1  # the copy of the calibration is not a frame
-        with pytest.raises(Exception, match="killed"):
-            capture(make_plan(), twin.rig, out)
-    with Session.open(out) as session:
-        assert not session.complete()
-    assert resume(out).complete
-    assert facts_of(out) == facts_of(reference)
-    with Session.open(out) as session:
-        assert session.damaged() == []
 
 
 def test_a_passing_fault_is_shot_again_under_its_own_name(

@@ -7,7 +7,7 @@ import sqlite3
 import stat
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -102,6 +102,43 @@ def test_every_commit_reaches_the_disk(journal: Journal) -> None:
     connection = journal._connection
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_a_torn_log_holds_whole_changes(journal: Journal, tmp_path: Path) -> None:
+    """Would catch half a change after a power failure within a write, or a whole one lost."""
+
+    def content(path: Path) -> Any:
+        with Journal(path) as opened:
+            return opened.visits(), opened.shots(), opened.events()
+
+    journal.close()
+    start = journal.path.read_bytes()
+    states = [content(journal.path)]
+    with Journal(journal.path) as writer:
+        writer._connection.execute("PRAGMA wal_autocheckpoint = 0")
+        for change in (
+            lambda: writer.hold(0, Held((1, 2, 3), (0.1, THIRD))),
+            lambda: writer.intend(first_shot()),
+            lambda: writer.note("retry", text="x" * 9000),  # several pages
+            lambda: writer.file("p-white-0000-1", "x", "y"),
+            lambda: writer.finish(0, PoseFlag(0)),
+        ):
+            change()
+            states.append((writer.visits(), writer.shots(), writer.events()))
+        log = journal.path.with_name("journal.db-wal").read_bytes()
+    page = int.from_bytes(log[8:12], "big")
+    frames = range(32, len(log), 24 + page)
+    ends = [at + 24 + page for at in frames if int.from_bytes(log[at + 4 : at + 8], "big")]
+    assert len(ends) == len(states) - 1
+    torn = tmp_path / "torn" / "journal.db"
+    torn.parent.mkdir()
+    for at in frames:
+        for cut in (at, at + 1, at + 24, at + 24 + page // 2, at + 23 + page, at + 24 + page):
+            for tail in (b"", b"\xee" * (len(log) - cut)):
+                torn.with_name("journal.db-shm").unlink(missing_ok=True)
+                torn.write_bytes(start)
+                torn.with_name("journal.db-wal").write_bytes(log[:cut] + tail)
+                assert content(torn) == states[sum(end <= cut for end in ends)]
 
 
 def test_a_failed_change_changes_nothing(journal: Journal) -> None:
