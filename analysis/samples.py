@@ -177,7 +177,8 @@ def _directions(name: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
     directions = np.asarray(value, dtype=np.float64)
     if directions.shape != (count, 3):
         raise BadInput(f"needs shape ({count}, 3), not {directions.shape}", where=name)
-    length = np.linalg.norm(directions, axis=-1)
+    x, y, z = directions.T
+    length = np.sqrt(x * x + y * y + z * z)
     wrong = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_TOLERANCE))
     if wrong.size:
         raise BadInput(
@@ -187,6 +188,8 @@ def _directions(name: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
         )
     # What is unit to the last digits stays as it is: reading back what was written must change nothing.
     sloppy = np.abs(length - 1.0) > EXACT
+    if not sloppy.any():
+        return directions
     return np.where(sloppy[:, None], directions / length[:, None], directions)
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.formats.tables import Layout, numbers_of_rows, rows_with_content, words_of
+from analysis.formats.tables import Layout, numbers_of_rows, rows_with_content
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import from_half_difference, spherical_to_direction
@@ -72,7 +72,7 @@ def read(path: Path) -> xr.Dataset:
     if not kept.texts:
         raise BadInput("holds no samples", where=f"{path}: line {len(lines)}", todo="copy the file again")
     columns = [str(column) for column in range(1, width + 1)]
-    layout = Layout({width: columns}, words_of, expected=f"the header announces {width}")
+    layout = Layout({width: columns}, None, expected=f"the header announces {width}")
     table = numbers_of_rows(kept, layout, path).table()
     wi, wo = _directions(table[:, :inputs], coordinates, kept.places, path)
     values = table[:, inputs : inputs + count]

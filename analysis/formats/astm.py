@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.tables import Layout, cells_of, numbers_of_rows, rows_with_content
+from analysis.formats.tables import Layout, numbers_of_rows, rows_with_content
 from analysis.formats.text import looks_like_text, number, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -60,7 +60,7 @@ def read(path: Path) -> xr.Dataset:
     kept = rows_with_content(lines, start=start, comment="")
     layout = Layout(
         {len(header): header},
-        cells_of(separator, path),
+        separator,
         expected=f"VARS names {len(header)}",
         todo="complete the row, separate cells as VARS does, and write decimals with a point",
         decimal_comma=separator != ",",

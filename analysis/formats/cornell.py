@@ -16,18 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
-from analysis.formats.text import looks_like_text
+from analysis.formats.tables import bulk, plain_table, rows_with_content
+from analysis.formats.text import looks_like_text, read_lines
 from analysis.formats.words import Words
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import xarray as xr
 
 Array = NDArray[np.float64]
+_Rows = tuple[Array, "Callable[[int], int]", list[float]]
 
 NAME = "Cornell .brdf"
 OPTIONS: tuple[str, ...] = ()
@@ -52,8 +55,8 @@ def read(path: Path) -> xr.Dataset:
     BadInput
         If a number is missing, malformed or not finite, or an angle is not in radians; names line and column.
     """
-    table, lines, wavelengths = _rows(path)
-    _check_angles(table, lines, path)
+    table, line_of, wavelengths = _rows(path)
+    _check_angles(table, line_of, path)
     theta_i, phi_i, theta_o, phi_o = table[:, :4].T
     return make_samples(
         spherical_to_direction(theta_i, phi_i),
@@ -78,8 +81,26 @@ def declared(path: Path) -> AngleTable:
     return AngleTable(theta_i, phi_i, theta_o, phi_o, table[:, 4:], facts)
 
 
-def _rows(path: Path) -> tuple[Array, list[int], list[float]]:
-    """Return the rows, the line where each begins, and the wavelengths."""
+def _rows(path: Path) -> _Rows:
+    """Return the rows, what tells the line where a row begins, and the wavelengths."""
+    return _one_row_a_line(path) or _rows_of_words(path)
+
+
+def _one_row_a_line(path: Path) -> _Rows | None:
+    """Read a file of the usual layout, much faster; None of any other, and of a damaged one."""
+    kept = rows_with_content(read_lines(path))
+    words = [text.split() for text in kept.texts[:2]]
+    if len(words) < 2 or words[0] != [str(len(words[1]))]:
+        return None
+    wavelengths = bulk(words[1])
+    table = plain_table(kept.texts[2:], None, len(ANGLES) + len(words[1]))
+    if wavelengths is None or table is None:
+        return None
+    _check_wavelengths(wavelengths, path)
+    return table, lambda row: kept.places[2 + row], wavelengths.tolist()
+
+
+def _rows_of_words(path: Path) -> _Rows:
     words = Words(path)
     count = words.count("wavelengths", MOST_WAVELENGTHS)
     width = len(ANGLES) + count
@@ -96,7 +117,7 @@ def _rows(path: Path) -> tuple[Array, list[int], list[float]]:
         )
     columns = [*ANGLES, *(f"{w:g} nm" for w in wavelengths)]
     table = words.numbers(body, "the end of its rows", columns=columns).reshape(-1, width)
-    return table, [words.line(first + row * width) for row in range(len(table))], wavelengths.tolist()
+    return table, lambda row: words.line(first + row * width), wavelengths.tolist()
 
 
 def _check_wavelengths(wavelengths: Array, path: Path) -> None:
@@ -109,13 +130,13 @@ def _check_wavelengths(wavelengths: Array, path: Path) -> None:
         )
 
 
-def _check_angles(table: Array, lines: list[int], path: Path) -> None:
+def _check_angles(table: Array, line_of: Callable[[int], int], path: Path) -> None:
     polar = table[:, [0, 2]]
     wrong = np.argwhere((polar < 0.0) | (polar > np.pi))
     if wrong.size:
         row, column = wrong[0]
         raise BadInput(
             f"{polar[row, column]:g} is not a polar angle in radians",
-            where=f"{path}: line {lines[row]}, column {ANGLES[2 * column]}",
+            where=f"{path}: line {line_of(row)}, column {ANGLES[2 * column]}",
             todo="this format holds radians, 0 to pi",
         )

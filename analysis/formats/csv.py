@@ -71,14 +71,15 @@ def read(path: Path) -> xr.Dataset:
 def declared(path: Path) -> AngleTable:
     """Return the columns as they are, whatever the angles, for the convention doctor; raises as `read`."""
     content = read_lines(path)
-    (header_text, *texts), (header_line, *places) = rows_with_content(content)
+    kept = rows_with_content(content)
+    header_text, header_line = kept.texts[0], kept.places[0]
+    texts, places = kept.texts[1:], kept.places[1:]
     separator = separator_of(header_text)
-    split = cells_of(separator, path)
-    header = [cell.strip() for cell in split(header_text, header_line)]
+    header = [cell.strip() for cell in cells_of(separator, path)(header_text, header_line)]
     values, uncertainties = _columns(header, where=f"{path}: line {header_line}")
     layout = Layout(
         {len(header): header},
-        split,
+        separator,
         expected=f"the header {len(header)}",
         todo="complete the row, separate cells by commas and write decimals with a point",
         decimal_comma=separator != ",",

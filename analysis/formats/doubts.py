@@ -56,7 +56,10 @@ def _short_run(directions: Array, what: str) -> list[str]:
     The last may lack any number of samples, as where a file was cut; another one a few, as where rows were
     lost.
     """
-    new = (np.abs(np.diff(directions, axis=0)) > SAME).any(axis=1)
+    new = np.zeros(max(len(directions) - 1, 0), dtype=bool)
+    for axis in directions.T:
+        step = np.diff(axis)
+        new |= np.abs(step, out=step) > SAME
     runs = np.diff([0, *(np.flatnonzero(new) + 1), len(directions)])
     if len(runs) < FEWEST_RUNS:
         return []
@@ -79,19 +82,22 @@ def _repeated(samples: xr.Dataset) -> list[str]:
     anything.
     """
     wi, wo, f_r = (samples[name].to_numpy() for name in ("wi", "wo", "f_r"))
-    rows = np.hstack([wi, wo, f_r])
-    half, odd = divmod(len(rows), 2)
-    if half > 1 and not odd and np.array_equal(rows[:half], rows[half:]):
+    columns = [*wi.T, *wo.T, *f_r.T]
+    half, odd = divmod(len(wi), 2)
+    if half > 1 and not odd and all(np.array_equal(each[:half], each[half:]) for each in columns):
         return ["its second half repeats the first"]
-    apart = (wi[:, 2] < POLE) & (wo[:, 2] < POLE)
     # One number tells nearly all rows apart; the few with the same are compared in full.
-    number = rows @ np.sqrt(np.arange(2.0, rows.shape[1] + 2.0))
+    weights = np.sqrt(np.arange(2.0, 2.0 + len(columns)))
+    number = wi @ weights[:3] + wo @ weights[3:6] + f_r @ weights[6:]
     order = np.argsort(number, kind="stable")
     near = np.flatnonzero(np.diff(number[order]) == 0.0)
-    first, again = order[near], order[near + 1]
-    same = apart[again] & (rows[first] == rows[again]).all(axis=1)
+    again = order[near + 1]
+    same = (wi[again, 2] < POLE) & (wo[again, 2] < POLE)
+    for each in columns if same.any() else ():
+        sorted_ = each[order]
+        same &= sorted_[near] == sorted_[near + 1]
     if not same.any():
         return []
-    count, which = np.count_nonzero(same), again[same].argmin()
+    count = np.count_nonzero(same)
     others = f" and {count - 1} others" if count > 1 else ""
-    return [f"sample {again[same][which]}{others} repeat what stands before, direction and value"]
+    return [f"sample {again[same].min()}{others} repeat what stands before, direction and value"]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.formats.doubts import ATTRIBUTE
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.tables import Layout, Rows, numbers_of_rows, require_once, rows_with_content, words_of
+from analysis.formats.tables import Layout, Rows, numbers_of_rows, require_once, rows_with_content
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -60,7 +60,7 @@ def read(path: Path) -> xr.Dataset:
     to_radians, scale = _header(lines[1] if len(lines) > 1 else "", f"{path}: line 2")
     layout = Layout(
         {len(names): names for names in (INCIDENCE, COLUMNS)},
-        words_of,
+        None,
         expected="not 2 (incidence) or 3 (scatter)",
         todo="correct or remove the line",
     )

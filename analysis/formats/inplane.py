@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from analysis.angle_table import AngleTable
 from analysis.formats.bands import gathered
-from analysis.formats.tables import Layout, Rows, cells_of, numbers_of_rows, rows_with_content, words_of
+from analysis.formats.tables import Layout, Rows, numbers_of_rows, rows_with_content
 from analysis.formats.text import looks_like_text, read_lines, separator_of
 from analysis.samples import make_samples
 from rig.angles import spherical_to_direction
@@ -164,7 +164,7 @@ def _read_commas(
         raise BadInput("holds no radiance", where=str(path), todo="leave --as-published out")
     layout = Layout(
         {len(names): names},
-        cells_of(separator, path),
+        separator,
         expected=f"the header {len(names)}",
         todo="complete the row and write decimals with a point",
         decimal_comma=separator != ",",
@@ -272,7 +272,7 @@ def _blank_columns(lines: list[str], path: Path, *, check: bool) -> tuple[Array,
     kept = rows_with_content(lines)
     if not kept.texts:
         raise BadInput("has a header but no rows", where=f"{path}: line {header + 1}", todo="add samples")
-    layout = Layout({len(names): names}, words_of, expected=f"not {len(names)}")
+    layout = Layout({len(names): names}, None, expected=f"not {len(names)}")
     table = dict(zip(names, numbers_of_rows(kept, layout, path).table().T, strict=True))
     for name in (f"{zenith}_i", f"{zenith}_o") if check else ():
         _check_polar(table[name], kept.places, path, name)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from analysis.formats.loss import Loss, unchanged
 from analysis.formats.scattered import usable
-from analysis.formats.tables import Layout, Lines, numbers_of_rows, words_of
+from analysis.formats.tables import Layout, Lines, numbers_of_rows
 from analysis.formats.text import looks_like_text, number, read_lines
 from analysis.samples import make_samples
 from rig.angles import direction_to_spherical, spherical_to_direction
@@ -62,7 +62,8 @@ class _Block(NamedTuple):
     """One file's worth: header entries, rows, and the line where it begins."""
 
     header: dict[str, str]
-    rows: Lines
+    texts: list[str]
+    places: list[int]
     line: int
 
 
@@ -193,7 +194,7 @@ def _blocks(path: Path) -> list[_Block]:
     for line, text in enumerate(read_lines(path), start=1):
         if text.startswith("#"):
             if not in_header:
-                blocks.append(_Block({}, Lines([], []), line))
+                blocks.append(_Block({}, [], [], line))
             in_header = True
             entry = _ENTRY.match(text)
             if entry:
@@ -209,8 +210,8 @@ def _blocks(path: Path) -> list[_Block]:
             if not blocks:
                 raise BadInput("starts without a header", where=f"{path}: line {line}", todo="copy it again")
             in_header = False
-            blocks[-1].rows.texts.append(text)
-            blocks[-1].rows.places.append(line)
+            blocks[-1].texts.append(text)
+            blocks[-1].places.append(line)
     return blocks
 
 
@@ -219,25 +220,23 @@ def _parse(block: _Block, path: Path) -> tuple[Array, Array, Array, NDArray[np.i
     where = f"{path}: line {block.line}"
     cosine = _with_cosine(block.header, where)
     theta_i, phi_i = _incidence(block.header, where)
-    if not block.rows.texts:
+    if not block.texts:
         raise BadInput("no samples follow the header", where=where, todo="copy the file again")
     colour = block.header.get("colorimetry", "").lower()
     if colour and colour not in COLOURS:
         raise BadInput(
             f"colorimetry {colour[:40]} is not read", where=where, todo=f"known: {', '.join(COLOURS)}"
         )
-    names = COLOURS.get(colour) or [str(i) for i in range(len(block.rows.texts[0].split()) - 2)]
+    names = COLOURS.get(colour) or [str(i) for i in range(len(block.texts[0].split()) - 2)]
     width = max(2 + len(names), 3)
     columns = [str(column) for column in range(1, width + 1)]
-    layout = Layout(
-        {width: columns}, words_of, f"not {width}", todo="correct or remove the row", what="columns"
-    )
-    table = numbers_of_rows(block.rows, layout, path).table()
+    layout = Layout({width: columns}, None, f"not {width}", todo="correct or remove the row", what="columns")
+    table = numbers_of_rows(Lines(block.texts, block.places), layout, path).table()
     wrong = np.flatnonzero((table[:, 0] < 0.0) | (table[:, 0] > 180.0))
     if wrong.size:
         raise BadInput(
             f"{table[wrong[0], 0]:g} is not a polar angle from 0 to 180 deg",
-            where=f"{path}: line {block.rows.places[wrong[0]]}, column 1",
+            where=f"{path}: line {block.places[wrong[0]]}, column 1",
             todo="this format holds degrees",
         )
     wo = spherical_to_direction(np.radians(table[:, 0]), np.radians(table[:, 1]))

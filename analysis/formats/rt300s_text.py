@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.formats.rt300s import Export, readings_of, reduced
-from analysis.formats.tables import bulk
+from analysis.formats.tables import bulk, plain_table
 from analysis.formats.text import looks_like_text, number, read_lines
 from rig.errors import BadInput
 
@@ -59,10 +59,13 @@ class Flag(IntFlag):
     """The block holds nothing but zeros."""
 
 
-class _Block(NamedTuple):
-    """A block's lines: their cells and numbers in the file."""
+_Line = tuple[int, str]
 
-    lines: list[tuple[int, list[str]]]
+
+class _Block(NamedTuple):
+    """A block's lines: their numbers in the file and texts."""
+
+    lines: list[_Line]
     path: Path
 
     @property
@@ -71,23 +74,23 @@ class _Block(NamedTuple):
 
     def entry(self, name: str) -> str:
         """Return what stands behind a name."""
-        for _, cells in self.lines:
-            if cells[0] == name and len(cells) > 1:
+        for _, text in self.lines:
+            if name in text and (cells := _cells(text))[0] == name and len(cells) > 1:
                 return cells[1]
         raise BadInput(f"has no entry '{name}'", where=self.where, todo="copy or export the file again")
 
     def value(self, name: str) -> float:
         return number(self.entry(name), where=f"{self.where}, {name}")
 
-    def after(self, name: str) -> list[tuple[int, list[str]]]:
+    def after(self, name: str) -> list[_Line]:
         """Return the lines behind the one that starts so, up to the first empty one."""
-        starts = [index for index, (_, cells) in enumerate(self.lines) if cells[0].startswith(name)]
+        starts = [index for index, (_, text) in enumerate(self.lines) if text.lstrip(" ").startswith(name)]
         if not starts:
             raise BadInput(f"has no line '{name}'", where=self.where, todo="copy or export the file again")
         rows = self.lines[starts[0] + 1 :]
-        end = next((index for index, (_, cells) in enumerate(rows) if not any(cells)), len(rows))
+        end = next((index for index, (_, text) in enumerate(rows) if not text.strip()), len(rows))
         # Speos' second table is numbers; words are the head of a block whose first line is damaged.
-        stray = next((line for line, cells in rows[end:] if _WORD.search("".join(cells))), None)
+        stray = next((line for line, text in rows[end:] if _WORD.search("".join(_cells(text)))), None)
         if stray is not None:
             raise BadInput(
                 "words follow the end of a table",
@@ -152,12 +155,16 @@ def _blocks(path: Path) -> list[_Block]:
             blocks.append(_Block([], path))
         if not blocks:
             raise BadInput("starts without a header", where=f"{path}: line {line}", todo="export it again")
-        blocks[-1].lines.append((line, [cell.strip() for cell in text.split("\t")]))
+        blocks[-1].lines.append((line, text))
     return blocks
 
 
+def _cells(text: str) -> list[str]:
+    return [cell.strip() for cell in text.split("\t")]
+
+
 def _table(block: _Block) -> _Table:
-    first = block.lines[0][1]
+    first = _cells(block.lines[0][1])
     if first[0] == "DataType:":
         return _raywiz(block) if "Raywiz" in first[1] else _jdv(block)
     table = _lighttools(block) if first[0].startswith("Name") else _speos(block)
@@ -165,7 +172,7 @@ def _table(block: _Block) -> _Table:
 
 
 def _jdv(block: _Block) -> _Table:
-    head, *rows = block.after("Raw data") or [(block.lines[-1][0], [""])]
+    head, *rows = block.after("Raw data") or [(block.lines[-1][0], "")]
     receive = _numbers(head, block.path, skip=1)
     azimuth, value = _labelled(rows, len(receive), block)
     for name, angles in (("Polar:", receive), ("Azimuth:", azimuth)):
@@ -216,15 +223,15 @@ def _speos(block: _Block) -> _Table:
     table = spectrum[1 + count :] if 0 <= count < len(spectrum) - 2 else []
     if not table:
         raise _wrong_size(block, "a spectrum and a table")
-    if table[0][1][0]:
+    if _cells(table[0][1])[0]:
         raise _wrong_size(block, f"{count} lines of a spectrum and a line of azimuths")
     azimuth = _numbers(table[0], block.path, skip=1)
     receive, value = _labelled(table[1:], len(azimuth), block)
     return _Table(float(name[1]), azimuth, receive, value)
 
 
-def _numbers(row: tuple[int, list[str]], path: Path, *, skip: int = 0, width: int | None = None) -> Array:
-    line, cells = row
+def _numbers(row: _Line, path: Path, *, skip: int = 0, width: int | None = None) -> Array:
+    line, cells = row[0], _cells(row[1])
     while cells and not cells[-1]:
         cells = cells[:-1]
     values = bulk(cells[skip:])
@@ -244,11 +251,13 @@ def _numbers(row: tuple[int, list[str]], path: Path, *, skip: int = 0, width: in
     return values
 
 
-def _labelled(rows: list[tuple[int, list[str]]], width: int, block: _Block) -> tuple[Array, Array]:
+def _labelled(rows: list[_Line], width: int, block: _Block) -> tuple[Array, Array]:
     """Return the rows' angles and their values, shape (rows, width)."""
     if not rows or not width:
         raise _wrong_size(block, "a table")
-    table = np.array([_numbers(row, block.path, width=1 + width) for row in rows])
+    table = plain_table([text.rstrip() for _, text in rows], "\t", 1 + width)
+    if table is None:
+        table = np.array([_numbers(row, block.path, width=1 + width) for row in rows])
     return table[:, 0], table[:, 1:]
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.formats.doubts import ATTRIBUTE, UNFINISHED, unfinished
 from analysis.formats.loss import Loss, unchanged
-from analysis.formats.tables import Layout, Lines, numbers_of_rows, words_of
+from analysis.formats.tables import Layout, Lines, numbers_of_rows
 from analysis.formats.text import decoded_lines, looks_like_text, number, read_lines
 from analysis.formats.zemax import directions
 from analysis.samples import make_samples
@@ -224,7 +224,7 @@ def _table(block: Block, length: int, shape: tuple[int, int], path: Path) -> Arr
             todo="the file is cut short or a list is wrong: copy it again",
         )
     columns = [str(column) for column in range(1, shape[1] + 1)]
-    layout = Layout({shape[1]: columns}, words_of, expected=f"the colour model {shape[1]}")
+    layout = Layout({shape[1]: columns}, None, expected=f"the colour model {shape[1]}")
     rows = Lines([text for _, text in body], [line for line, _ in body])
     return numbers_of_rows(rows, layout, path).table()
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from array import array
 from bisect import bisect_right
+from functools import cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,11 +26,10 @@ CHUNK = 65536
 
 
 class Word(NamedTuple):
-    """A word, the line it stands on and its place there, both counted from 1."""
+    """A word, and how many stand before it in its file."""
 
     text: str
-    line: int
-    column: int
+    place: int
 
 
 class Words:
@@ -50,14 +50,17 @@ class Words:
 
     def __init__(self, path: Path, *, comment: str = "#") -> None:
         self._path = path
-        self._words: list[str] = []
-        starts = re.compile(rf"(?:\A|(?<=\s)){re.escape(comment)}")
-        self._ends = array("q")  # how many words there are up to the end of each line
-        for text in read_lines(path):
+        self._text = "\n".join(read_lines(path))
+        if comment in self._text:
             # Within a word the sign is damage, and no number.
-            self._words += (starts.split(text, maxsplit=1)[0] if comment in text else text).split()
-            self._ends.append(len(self._words))
+            self._text = re.sub(rf"(?<!\S){re.escape(comment)}[^\n]*", "", self._text)
+        self._words = self._text.split()
         self._at = 0
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """How many words there are up to the end of each line; only who asks for lines needs it."""
+        return list(accumulate(len(line.split()) for line in self._text.split("\n")))
 
     @property
     def left(self) -> int:
@@ -70,8 +73,10 @@ class Words:
         return self._at
 
     def where(self, word: Word) -> str:
-        """Name a word's place."""
-        return f"{self._path}: line {word.line}, column {word.column}"
+        """Name the line on which a word stands and its place there."""
+        line = self.line(word.place)
+        before = self._ends[line - 2] if line > 1 else 0
+        return f"{self._path}: line {line}, column {word.place - before + 1}"
 
     def peek(self) -> str:
         """Return the next word without taking it; empty at the end."""
@@ -88,7 +93,7 @@ class Words:
         if not self.left:
             raise self._ends_before(what)
         self._at += 1
-        return self._word(self._at - 1)
+        return Word(self._words[self._at - 1], self._at - 1)
 
     def expect(self, *known: str) -> Word:
         """Take the next word, which must be one of these.
@@ -163,13 +168,9 @@ class Words:
         """Return the line of a word, both counted from its file's begin: words from 0, lines from 1."""
         return bisect_right(self._ends, place) + 1
 
-    def _word(self, place: int) -> Word:
-        line = self.line(place)
-        return Word(self._words[place], line, place - (self._ends[line - 2] if line > 1 else 0) + 1)
-
     def _where_number(self, place: int, first: int, columns: Sequence[str]) -> str:
         if not columns:
-            return self.where(self._word(place))
+            return self.where(Word(self._words[place], place))
         return f"{self._path}: line {self.line(place)}, column {columns[(place - first) % len(columns)]}"
 
     def _ends_before(self, what: str) -> BadInput:
