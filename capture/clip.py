@@ -29,6 +29,8 @@ _SPIKE_WINDOW = 0.01
 _SPIKE_SAMPLES = 20
 _SPIKE_FRACTION = 1e-4
 _BRIGHTER = 1.1
+_NEAR_TOP = 0.05
+_CROWDED = 10.0  # how many times more samples clip than have one of the codes just below
 _LEAST_SPAN_DN = 50.0  # below, rounding makes levels repeat
 _LEAST_FRACTION = 0.5  # no position of the cell clips at less than half of another's clip level
 _NEVER = 1e30
@@ -57,13 +59,46 @@ def clip_levels(
     if sensor is not None:
         channels = stack.cfa if stack.cfa is not None else np.zeros((2, 2), dtype=np.int64)
         return np.array([[sensor.clip_of_channel(int(c)) for c in row] for row in channels])
-    levels = np.full((2, 2), stack.white_dn)
-    for row in (0, 1):
-        for col in (0, 1):
-            measured = _measured_level(stack, row, col, float(black_dn[row, col]))
-            if measured is not None:
-                levels[row, col] = min(measured, stack.white_dn)
-    return levels
+    measured = measured_clip(stack, black_dn)
+    return np.array(
+        [[stack.white_dn if lv is None else min(lv, stack.white_dn) for lv in row] for row in measured]
+    )
+
+
+def measured_clip(stack: Stack, black_dn: NDArray[np.float64]) -> list[list[float | None]]:
+    """Clip level that the frames show at each position of the 2 x 2 cell; None where they show none.
+
+    Parameters
+    ----------
+    stack : Stack
+        The frames; pass a part of a large one.
+    black_dn : ndarray, shape (2, 2)
+        Black level per position.
+    """
+    return [[_measured_level(stack, r, c, float(black_dn[r, c])) for c in (0, 1)] for r in (0, 1)]
+
+
+def single_frame_clip(counts: NDArray[np.integer[Any]], black_dn: float) -> float | None:
+    """Clip level that one frame shows by itself: far more samples at its highest count than just below.
+
+    Parameters
+    ----------
+    counts : ndarray of int
+        Samples of one position of the cell.
+    black_dn : float
+        Their black level.
+    """
+    if counts.size == 0:
+        return None
+    top = int(counts.max())
+    span = top - black_dn
+    if span < _LEAST_SPAN_DN:
+        return None
+    at_top = np.count_nonzero(counts == top)
+    below = np.count_nonzero(counts >= top - _NEAR_TOP * span) - at_top
+    usual = below / (_NEAR_TOP * span)
+    enough = max(_SPIKE_SAMPLES, _SPIKE_FRACTION * counts.size, _CROWDED * usual)
+    return float(top) if at_top >= enough else None
 
 
 def _measured_level(stack: Stack, row: int, col: int, black_dn: float) -> float | None:

@@ -111,8 +111,8 @@ def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | 
     Raises
     ------
     BadInput
-        No frames; shapes, cameras, CFAs or ISO settings that differ; NaN or infinite counts; a frame given
-        twice; exposure times that are missing, not above 0, or of another number than the frames.
+        No frames; shapes, cameras, CFAs, ISO settings or apertures that differ; NaN or infinite counts; a
+        frame given twice; exposure times that are missing, not above 0, or of another number than the frames.
     """
     items = [read_raw(frame) if isinstance(frame, str | os.PathLike) else frame for frame in _listed(frames)]
     names = tuple(
@@ -212,6 +212,7 @@ def _check_same_camera(raws: list[RawFrame]) -> None:
             "colour filter layout": raw.channels != first.channels or not np.array_equal(raw.cfa, first.cfa),
             "black level": not np.array_equal(raw.black_dn, first.black_dn),
             "ISO": raw.iso != first.iso,
+            "aperture": raw.f_number != first.f_number,
         }
         what = next((name for name, different in differs.items() if different), None)
         if what:

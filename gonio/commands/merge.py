@@ -7,6 +7,10 @@ Darks of a frame's own exposure are subtracted as they are; other exposures are 
 --sensor the weights are Poisson's. The ratios of neighbouring exposures are measured from the frames; where
 they refute the stated times, the merge uses the fitted ones.
 
+--inspect merges nothing and tells what each file states (camera, ISO, time, aperture, black, clip level),
+what its counts show (clip level, bits in use, covered pixels), and what to know before they are merged: the
+same picture twice, settings that changed between frames, a black level that drifts, counts that were stretched.
+
 The .npz of --out holds radiance (DN/s), variance, flags, exposure_s (used), exposure_nominal_s, clip_dn, cfa,
 channels, files.
 
@@ -19,12 +23,16 @@ The JSON object:
   flags: {name: pixels}
   noise: {gain_dn_per_e, floor_dn2, source}
   dark: {exposures_s, frames, matched, sources} or null
+with --inspect: frames: [{path, camera, serial, iso, exposure_s, f_number, white_balance, width_px, height_px,
+cfa, black_dn, optical_black_dn, white_dn, clip_dn, highest_dn, bits, step_dn, missing_codes, linearised}],
+clip_dn (measured by all frames), findings: [{what, files, todo}]; lists of four go by position, row by row
 and for a session: estimator, note, radiance (the folder), poses: [{pose, role, station, file, frames, flags}]
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +52,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="frames of one bracket, or one session folder"
+    )
+    parser.add_argument(
+        "--inspect", action="store_true", help="do not merge: tell what the files can be trusted for"
     )
     parser.add_argument("--dark", nargs="+", default=[], metavar="FILE", help="dark frames, any exposures")
     parser.add_argument("--sensor", metavar="TOML", help="the sensor's calibration (gain, read noise, clip)")
@@ -65,6 +76,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Merge, write what was asked for, and report."""
+    if options.inspect:
+        return _run_inspection(options)
     from capture.bracket import merge_bracket
     from capture.sensor import load_sensor
 
@@ -86,6 +99,25 @@ def run(options: argparse.Namespace) -> int:
         print_json(_summary(result, options))
     else:
         _print_table(result, options)
+    return 0
+
+
+def _run_inspection(options: argparse.Namespace) -> int:
+    from capture.bracket import exposure_from_name
+    from capture.inspection import inspect_files
+    from gonio.inspection_text import print_inspection
+
+    given = _times(options.exposure_s)
+    if given is not None and len(given) != len(options.files):
+        what = f"{len(given)} exposure times for {len(options.files)} files"
+        raise BadInput(what, where="--exposure-s", todo="give one per file, in order")
+    files = [*options.files, *options.dark]
+    times = given or [exposure_from_name(file) for file in options.files]
+    found = inspect_files(files, [*times, *(exposure_from_name(file) for file in options.dark)])
+    if options.json:
+        print_json(asdict(found))
+    else:
+        print_inspection(found)
     return 0
 
 

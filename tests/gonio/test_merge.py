@@ -110,6 +110,20 @@ def test_table_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "OVER_RANGE" in text
 
 
+def test_inspection_merges_nothing_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Would catch findings lost on the way to the person or the script."""
+    files, _ = bracket(tmp_path)
+    answer = run_json(capsys, "merge", "--inspect", *files)
+    assert [Path(fact["path"]).name for fact in answer["frames"]] == [Path(file).name for file in files]
+    assert answer["findings"] == []
+    copy = tmp_path / "copy.dng"
+    copy.write_bytes(Path(files[0]).read_bytes())
+    assert main(["merge", "--inspect", *files, str(copy)]) == 0
+    printed = capsys.readouterr().out
+    assert "same picture" in printed
+    assert "14 bits in use" in printed
+
+
 @pytest.mark.parametrize(
     ("name", "seconds"),
     [
