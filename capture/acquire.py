@@ -6,6 +6,7 @@ every decision is taken from there.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -14,11 +15,13 @@ from bluesky import plan_stubs
 from bluesky.utils import FailedStatus, Msg
 
 from capture.exposure import Chooser, Observation
+from capture.interruptions import SKIPPED
+from capture.policy import Patience, rule_for
 from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visit
 from capture.store import Store, shot_id
 from rig.devices import ArmsDevice, CameraDevice, PoseGoal
 from rig.devices import Shot as Exposure
-from rig.errors import Refused, Transient
+from rig.errors import GonioError, Refused
 
 if TYPE_CHECKING:
     from capture.examine import CameraFacts, Examiner
@@ -27,9 +30,6 @@ if TYPE_CHECKING:
 
 Messages: TypeAlias = Generator[Msg, Any, None]
 """A Bluesky plan."""
-
-TRIES = 3
-"""How often a shot is made before a passing fault counts as one that stays."""
 
 PRIMARY = "primary"
 
@@ -58,6 +58,10 @@ class Acquisition:
         Asked after each frame; true ends the plan there.
     visited : callable
         Told of each visit that is done.
+    patience : Patience
+        How many poses in a row may be skipped.
+    say : callable
+        Told in one line what a person should know.
     """
 
     arms: ArmsDevice
@@ -70,6 +74,8 @@ class Acquisition:
     dark_count: int
     finishing: Callable[[], bool]
     visited: Callable[[Visit], None]
+    patience: Patience
+    say: Callable[[str], None]
 
     @property
     def journal(self) -> Journal:
@@ -77,7 +83,7 @@ class Acquisition:
         return self.store.journal
 
     def run(self, visits: Sequence[Visit], metadata: dict[str, Any]) -> Messages:
-        """Plan one run over some visits, in their order.
+        """Plan one run over some visits, in their order; those that were skipped come once more at the end.
 
         Parameters
         ----------
@@ -91,11 +97,32 @@ class Acquisition:
         Msg
         """
         yield from plan_stubs.open_run(metadata)
+        skipped = yield from self._round(visits)
+        if skipped:
+            yield from self._round(skipped)
+        yield from plan_stubs.close_run()
+
+    def _round(self, visits: Sequence[Visit]) -> Generator[Msg, Any, list[Visit]]:
+        """Go to some visits; return those that had to be skipped."""
+        skipped = []
         for visit in visits:
             if self.finishing():
                 break
-            yield from self._visit(visit)
-        yield from plan_stubs.close_run()
+            try:
+                yield from self._visit(visit)
+            except (GonioError, FailedStatus) as error:
+                cause = cause_of(error)
+                if not self.patience.may_skip(cause):
+                    raise
+                self._skip(visit, cause)
+                skipped += self.journal.visits(visit.number)
+            else:
+                self.patience.regain()
+        return skipped
+
+    def _skip(self, visit: Visit, cause: BaseException) -> None:
+        self.journal.note(SKIPPED, visit=visit.number, role=visit.role, pose=visit.pose, error=str(cause))
+        self.say(f"{visit.role} {visit.pose} is skipped: {cause}")
 
     def _visit(self, visit: Visit) -> Messages:
         held = yield from self._go(visit)
@@ -162,14 +189,15 @@ class Acquisition:
 
     def _shoot(self, shot: Shot) -> Messages:
         """Make one exposure; a passing fault is tried again under the same name."""
-        for attempt in range(1, TRIES + 1):
+        for attempt in itertools.count(1):
             exposure = Exposure(shot.shot_id, shot.exposure_s, dark=not shot.lit)
             yield from plan_stubs.prepare(self.camera, exposure, wait=True)
             try:
                 yield from plan_stubs.trigger(self.camera, wait=True)
             except FailedStatus as failed:
                 error = cause_of(failed)
-                if not isinstance(error, Transient) or attempt == TRIES:
+                rule = rule_for(error)
+                if rule is None or attempt >= rule.tries:
                     raise
                 self.journal.note("retry", shot_id=shot.shot_id, attempt=attempt, error=str(error))
             else:

@@ -16,9 +16,11 @@ from capture.documents import DocumentLog, SafeWait, make_engine
 from capture.examine import Examiner
 from capture.exposure import Chooser, Noise, Shutter, Target
 from capture.guards import require_disk, same_plan, same_rig
+from capture.interruptions import holes
 from capture.itinerary import lay_out
 from capture.journal import Journal
 from capture.plan import Plan, load_plan
+from capture.policy import Patience
 from capture.records import Role, ShotState, Visit
 from capture.session import (
     DOCUMENTS_FILE,
@@ -151,6 +153,7 @@ class _Run:
         self.folder, self.plan, self.rig, self.machine = folder, plan, machine.rig, machine
         self.examiner, self.wishes = examiner, wishes
         self.began = time.monotonic()
+        self._patience = Patience()
         self._wait = SafeWait(machine.stop)
         self.journal = Journal(folder / JOURNAL_FILE)
         self.store = Store(folder, self.journal)
@@ -224,6 +227,8 @@ class _Run:
             dark_count=self.plan.darks.count,
             finishing=lambda: self.wishes.controls.finish_requested,
             visited=visited,
+            patience=self._patience,
+            say=self.wishes.say,
         )
 
     def _plan_darks(self) -> None:
@@ -282,8 +287,21 @@ class _Run:
             if error is not None:
                 self.journal.note("failed", error=str(error))
             else:
-                self.journal.note("finished" if is_complete(self.journal, self.plan) else "interrupted")
+                self._journal_outcome()
             self.journal.note("stopped", **report.as_dict())
+
+    def _journal_outcome(self) -> None:
+        missing = [hole.as_dict() for hole in holes(self.journal)]
+        if is_complete(self.journal, self.plan):
+            self.journal.note("finished")
+        elif missing and self._nobody_ended_it():
+            self.journal.note("incomplete", holes=missing)
+        else:
+            self.journal.note("interrupted", holes=missing)
+
+    def _nobody_ended_it(self) -> bool:
+        controls = self.wishes.controls
+        return not (self._wait.interrupted or controls.finish_requested or controls.abort_requested)
 
     def _then_resume(self, todo: str) -> str:
         resume_it = f"gonio capture --resume {self.folder}"
@@ -300,4 +318,5 @@ class _Run:
             flagged=sum(bool(visit.flags) for visit in visits),
             seconds=time.monotonic() - self.began,
             stop=self.machine.stop_report,
+            holes=holes(self.journal),
         )

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
+    from capture.interruptions import Hole
     from rig.stop_report import StopReport
 
 
@@ -84,6 +85,8 @@ class CaptureResult:
         Of this run.
     stop : StopReport or None
         How light and arms took the stop at the end.
+    holes : tuple of Hole
+        Poses that were tried and could not be had.
     """
 
     session: Path
@@ -94,3 +97,4 @@ class CaptureResult:
     flagged: int
     seconds: float
     stop: StopReport | None
+    holes: tuple[Hole, ...] = ()

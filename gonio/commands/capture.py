@@ -2,6 +2,9 @@
 
 The first Ctrl-C finishes the frame, a second one aborts; `gonio rig stop` from another terminal stops too.
 However it ends, light and arms are stopped, and `gonio capture --resume SESSION` goes on.
+
+A pose whose fault does not pass is skipped and tried again at the end of its pass. Poses still missing then
+are listed with their reasons (exit code 4); resuming tries them again.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.output import Progress, add_json_option, print_json, say
-from rig.errors import BadInput, GonioError
+from rig.errors import BadInput, GonioError, Refused, Transient
 
 if TYPE_CHECKING:
     import argparse
@@ -46,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Capture: 0 when all is recorded, else as for every command; 130 after Ctrl-C, 143 after SIGTERM."""
+    """Capture: 0 when all is recorded, 4 with poses missing; 130 after Ctrl-C, 143 after SIGTERM."""
     from gonio.signals import StopRequests
 
     mounted = _mounted(options.mounted)
@@ -67,7 +70,9 @@ def run(options: argparse.Namespace) -> int:
     _print_result(result, json=options.json)
     if result.complete:
         return 0
-    return exit_code if exit_code is not None else 3
+    if exit_code is not None:
+        return exit_code
+    return Transient.exit_code if result.holes else Refused.exit_code
 
 
 def _capture(options: argparse.Namespace, wishes: Wishes) -> CaptureResult:
@@ -139,6 +144,7 @@ def _print_result(result: CaptureResult, *, json: bool) -> None:
         "frames": result.frames,
         "seconds": result.seconds,
         "stop": stopped,
+        "holes": [hole.as_dict() for hole in result.holes],
     }
     if json:
         print_json(facts)
@@ -148,5 +154,8 @@ def _print_result(result: CaptureResult, *, json: bool) -> None:
             f"{result.session}: {result.poses} poses, {result.frames} frames{flagged}, "
             f"{result.seconds:.1f} s; light off and arms stopped: {stopped}"
         )
+    for hole in result.holes:
+        say(f"gonio capture: {hole.role} {hole.pose} is missing, tried {hole.times} times: {hole.reason}")
     if not result.complete:
-        say(f"gonio capture: interrupted; go on with: gonio capture --resume {result.session}")
+        ended = "poses are missing" if result.holes else "interrupted"
+        say(f"gonio capture: {ended}; go on with: gonio capture --resume {result.session}")

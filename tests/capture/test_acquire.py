@@ -7,29 +7,31 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from capture.journal import Journal
+from capture.policy import POLICY
 from capture.raw import read_raw
 from capture.run import capture, resume
 from capture.session import Session
 from capture.wishes import Wishes
 from rig.description import dump_rig, load_rig
-from rig.errors import Refused, Transient
+from rig.errors import DeviceLost, GonioError, Refused, Transient, Unsafe
 from rig.kinematics import Kinematics
 from rig.machine import Machine
 from simulator.twin import Twin
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from capture.plan import Plan
 
 
+ROOT = Path(__file__).parents[2]
 MATERIAL = "cook-torrance:kd=0.1,ks=0.5,m=0.2,ior=1.5"
 """What the twin of these tests holds."""
 
@@ -218,21 +220,97 @@ def test_other_ways_of_timing_an_exposure(tmp_path: Path, make_plan: Callable[..
                 assert (raw.shutter_s > frame.exposure_s) == (mode == "LAMP")
 
 
-def test_a_fault_that_stays_ends_the_run_and_says_how_to_go_on(
+def test_a_fault_that_stays_everywhere_ends_the_run_and_says_how_to_go_on(
     twin: Twin, tmp_path: Path, make_plan: Callable[..., Plan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Would catch a loop that shoots for ever, and an error that leaves the person without the next step."""
+    shots: list[str] = []
 
-    def shoot(_self: Machine, *_args: Any, **_options: Any) -> Path:
+    def shoot(_self: Machine, shot_id: str, *_args: Any, **_options: Any) -> Path:
+        shots.append(shot_id)
         raise Transient("its picture did not arrive", where="test", todo="shoot again")
 
     monkeypatch.setattr(Machine, "shoot", shoot)
     with pytest.raises(Transient, match=r"did not arrive.*gonio capture --resume .*s$"):
         capture(make_plan(), twin.rig, tmp_path / "s")
+    assert len(shots) == 9  # three poses, three times each
     with Session.open(tmp_path / "s") as session:
         kinds = [event.kind for event in session.events()]
-        assert kinds.count("retry") == 2
+        assert kinds.count("retry") == 6
+        assert kinds.count("skipped") == 2
         assert kinds[-2:] == ["failed", "stopped"]
+
+
+@pytest.mark.parametrize(
+    ("failures", "whole"), [(3, True), (6, False)], ids=["had at the end of the pass", "missing"]
+)
+def test_a_pose_that_cannot_be_had_is_skipped_with_its_reason(  # noqa: PLR0917 - fixtures
+    twin: Twin,
+    reference: Path,
+    tmp_path: Path,
+    make_plan: Callable[..., Plan],
+    monkeypatch: pytest.MonkeyPatch,
+    failures: int,
+    whole: bool,
+) -> None:
+    """Would catch one bad pose that ends the night, is never tried again, or is missing in silence."""
+    real, left, order = Machine.shoot, iter(range(failures)), []
+
+    def shoot(self: Machine, shot_id: str, *args: Any, **options: Any) -> Path:
+        order.append(shot_id.split("-", 1)[1])
+        if order[-1] == "sample-0002-1" and next(left, None) is not None:
+            raise Transient("its picture did not arrive", where="test", todo="shoot again")
+        return real(self, shot_id, *args, **options)
+
+    said: list[str] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(Machine, "shoot", shoot)
+        result = capture(make_plan(), twin.rig, tmp_path / "s", wishes=Wishes(say=said.append))
+    assert result.complete == whole
+    sample = [shot for shot in order if shot.startswith("sample")]
+    assert sample[:4] == ["sample-0002-1"] * 3 + ["sample-0001-1"]
+    assert sample[-1].startswith("sample-0002")
+    assert order[-1].startswith("dark")
+    assert "sample 2 is skipped: test: its picture did not arrive; shoot again" in said
+    with Session.open(tmp_path / "s") as session:
+        last = [event for event in session.events() if event.kind in {"finished", "incomplete"}]
+        assert session.damaged() == []
+    if whole:
+        assert result.holes == ()
+        assert [event.kind for event in last] == ["finished"]
+        return
+    (hole,) = result.holes
+    assert (hole.role, hole.pose, hole.times) == ("sample", 2, 2)
+    assert "did not arrive" in hole.reason
+    assert [event.detail for event in last] == [{"holes": [hole.as_dict()]}]
+    again = resume(tmp_path / "s")
+    assert again.complete
+    assert again.holes == ()
+
+
+def test_a_fault_that_cannot_pass_skips_nothing(
+    twin: Twin, tmp_path: Path, make_plan: Callable[..., Plan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Would catch a run that goes on with an open door or a lost camera."""
+    for error in (Unsafe, DeviceLost, Refused):
+
+        def shoot(self: Machine, *_args: Any, error: type[GonioError] = error, **_options: Any) -> Path:
+            raise error("no more", where="test", todo="see")
+
+        monkeypatch.setattr(Machine, "shoot", shoot)
+        with pytest.raises(error, match="no more"):
+            capture(make_plan(), twin.rig, tmp_path / error.__name__)
+        with Session.open(tmp_path / error.__name__) as session:
+            assert not {"retry", "skipped"} & {event.kind for event in session.events()}
+
+
+def test_the_fault_table_of_the_docs_is_the_program_s() -> None:
+    """Would catch docs that promise another policy than the program's."""
+    lines = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8").splitlines()
+    for rule in POLICY:
+        row = f"| {rule.name} (`{rule.kind.__name__}`) | {rule.examples} | {rule.tries} | {rule.then.value} |"
+        assert row in lines
+    assert {rule.kind for rule in POLICY} == set(GonioError.__subclasses__())
 
 
 def test_finishing_ends_after_the_frame_and_resumes(
