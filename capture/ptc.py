@@ -13,7 +13,7 @@ of the line; a tile's mean variance lies on it exactly, because the line is stra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,7 @@ import numpy as np
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -38,6 +38,7 @@ HOTTEST_FILL = 0.9
 
 _LEAST_PIXELS = 64
 _ROUNDS = 4
+_DARKEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,8 @@ class TransferPoints:
     ----------
     mean_dn : ndarray, shape (N,)
         Mean signal above bias, in DN: light and dark current.
+    mean_square_dn2 : ndarray, shape (N,)
+        Mean of the pixels' squared signals, in DN^2: an edge of the scene within a tile raises it.
     variance_dn2 : ndarray, shape (N,)
         Variance of one frame over time, in DN^2.
     pixels : ndarray of int, shape (N,)
@@ -57,16 +60,17 @@ class TransferPoints:
     """
 
     mean_dn: NDArray[np.float64]
+    mean_square_dn2: NDArray[np.float64]
     variance_dn2: NDArray[np.float64]
     pixels: NDArray[np.int64]
     channel: NDArray[np.int64]
 
     def of(self, channel: int) -> TransferPoints:
         """Points of one channel."""
-        chosen = self.channel == channel
-        return TransferPoints(
-            self.mean_dn[chosen], self.variance_dn2[chosen], self.pixels[chosen], self.channel[chosen]
-        )
+        return self._each(lambda values: values[self.channel == channel])
+
+    def _each(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> TransferPoints:
+        return TransferPoints(*(pick(getattr(self, item.name)) for item in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[TransferPoints]) -> TransferPoints:
@@ -79,12 +83,7 @@ class TransferPoints:
         """
         if not parts:
             raise BadInput("no pairs of frames", todo="give two frames at least of every exposure")
-        return cls(
-            np.concatenate([part.mean_dn for part in parts]),
-            np.concatenate([part.variance_dn2 for part in parts]),
-            np.concatenate([part.pixels for part in parts]),
-            np.concatenate([part.channel for part in parts]),
-        )
+        return cls(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -199,16 +198,19 @@ def light_scale(first: Array, second: Array, usable: NDArray[np.bool_]) -> float
 
 def _tiles(
     a: Array, b: Array, good: NDArray[np.bool_], scale: float, range_dn: float
-) -> tuple[Array, Array, Array]:
-    """Mean, variance and pixels of the tiles of one position of the cell that can be used."""
+) -> tuple[Array, Array, Array, Array]:
+    """Mean, mean square, variance and pixels of the tiles of one position of the cell that can be used."""
     numbers = _tile_sums(good.astype(np.float64))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_a = _tile_sums(np.where(good, a, 0.0)) / numbers
+        product = _tile_sums(np.where(good, a * b, 0.0)) / numbers
         square = _tile_sums(np.where(good, (b - scale * a) ** 2, 0.0)) / numbers
     highest = _tile_max(np.where(good, np.maximum(a, b), -np.inf))
     mean = scale * (1.0 + scale) / (1.0 + scale**2) * mean_a
     fine = (numbers >= _LEAST_PIXELS) & (mean < LARGEST_FILL * range_dn) & (highest < HOTTEST_FILL * range_dn)
-    return mean[fine], (square / (1.0 + scale**2))[fine], numbers[fine].astype(np.int64)
+    # The product of two frames holds no noise over time, the square of one does.
+    mean_square = np.maximum(product, mean**2)
+    return mean[fine], mean_square[fine], (square / (1.0 + scale**2))[fine], numbers[fine].astype(np.int64)
 
 
 def _edges(length: int) -> NDArray[np.int64]:
@@ -228,9 +230,9 @@ def _tile_max(values: Array) -> Array:
 def fit_transfer(points: TransferPoints, quantisation_step_dn: float = 1.0) -> PhotonTransfer:
     """Fit gain and floor by weighted least squares.
 
-    A tile of n pixels knows its variance to (2 v^2 + K^3 y / 2) / n: the second term is the excess of a
-    Poisson number over a normal one. The weights are those of the line, not of the points: points that came
-    out low must not weigh more.
+    A tile of n pixels knows its variance to (2 <v^2> + K^3 <y> / 2) / n, means over its pixels: the second
+    term is the excess of a Poisson number over a normal one. The weights are those of the line, not of the
+    points: points that came out low must not weigh more.
 
     Parameters
     ----------
@@ -253,11 +255,11 @@ def fit_transfer(points: TransferPoints, quantisation_step_dn: float = 1.0) -> P
         what = f"{len(mean)} usable points of variance over mean"
         raise BadInput(what, todo="shoot pairs of flat frames at several exposures, below clipping")
     design = np.column_stack([mean, np.ones_like(mean)])
-    expected = np.maximum(variance, np.median(variance) * 1e-6)
-    gain = 0.0
-    solution = inverse = np.zeros(2)
+    signal, square = np.maximum(mean, 0.0), points.mean_square_dn2
+    # To begin with, every tile knows its variance to the same part of it, but for the darkest.
+    spread = 2.0 * np.maximum(variance, np.median(variance) * _DARKEST) ** 2
     for _ in range(_ROUNDS):
-        weights = points.pixels / (2.0 * expected**2 + 0.5 * gain**3 * np.maximum(mean, 0.0))
+        weights = points.pixels / spread
         inverse = np.linalg.inv(design.T @ (weights[:, np.newaxis] * design))
         solution = inverse @ (design.T @ (weights * variance))
         gain = float(solution[0])
@@ -267,7 +269,7 @@ def fit_transfer(points: TransferPoints, quantisation_step_dn: float = 1.0) -> P
                 what, todo="give raw, linear frames with light below clipping, two of each exposure"
             )
         floor = max(float(solution[1]), quantisation_step_dn**2 / 12.0)
-        expected = gain * np.maximum(mean, 0.0) + floor
+        spread = 2.0 * (gain**2 * square + 2.0 * gain * floor * signal + floor**2) + 0.5 * gain**3 * signal
     residual = variance - design @ solution
     reduced = float(np.sum(weights * residual**2) / (len(mean) - 2))
     covariance = inverse * max(reduced, 1.0)

@@ -52,6 +52,14 @@ class SensorModel:
         When, ISO 8601.
     note : str, optional
         How, in words.
+    u_gain_dn_per_e, u_read_noise_dn : float, optional
+        Standard uncertainties of gain and read noise.
+    linearity_error : float, optional
+        Mean relative deviation of the response from a straight line (EMVA 1288's LE).
+    prnu : float, optional
+        Relative standard deviation of the pixels' responses.
+    lamp_temperature_deg_c : float, optional
+        What the lamp controller's thermometer read; it stands for the room.
 
     Raises
     ------
@@ -70,11 +78,19 @@ class SensorModel:
     iso: float | None = None
     date: str | None = None
     note: str | None = None
+    u_gain_dn_per_e: float | None = None
+    u_read_noise_dn: float | None = None
+    linearity_error: float | None = None
+    prnu: float | None = None
+    lamp_temperature_deg_c: float | None = None
 
     def __post_init__(self) -> None:
         _check(self.gain_dn_per_e > 0, "gain_dn_per_e", self.gain_dn_per_e, _POSITIVE)
         for name in ("read_noise_dn", "dark_current_dn_per_s", "quantisation_step_dn"):
             _check(getattr(self, name) >= 0, name, getattr(self, name), _NOT_NEGATIVE)
+        for name in ("u_gain_dn_per_e", "u_read_noise_dn", "linearity_error", "prnu"):
+            value = getattr(self, name)
+            _check(value is None or value >= 0, name, value, _NOT_NEGATIVE)
         clips = self.clip_dn if isinstance(self.clip_dn, tuple) else (self.clip_dn,)
         _check(len(clips) > 0 and all(clip > 0 for clip in clips), "clip_dn", self.clip_dn, _POSITIVE)
         if self.black_dn is not None:

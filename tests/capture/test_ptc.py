@@ -23,8 +23,10 @@ def points_of(sensor: Sensor, pairs_each: int, *, drift: float = 0.0, seed: int 
     parts = []
     for level in np.linspace(0.0, 1.0, 21):
         for _ in range(pairs_each):
-            pair = [sensor.expose(scene * unit * level * factor, 0.1, rng) for factor in (1.0, 1.0 + drift)]
-            parts.append(pair_points(*pair, BLACK, CFA, range_dn=FULL))
+            first, second = (
+                sensor.expose(scene * unit * level * factor, 0.1, rng) for factor in (1.0, 1.0 + drift)
+            )
+            parts.append(pair_points(first, second, BLACK, CFA, range_dn=FULL))
     return TransferPoints.joined(parts)
 
 
@@ -56,8 +58,8 @@ def test_stated_uncertainties_match_the_scatter() -> None:
         parts = []
         for level in (0.0, 0.1, 0.3, 0.5, 0.65):
             scene = np.full((64, 96, 3), level / 0.7 * 0.99 / np.pi)
-            pair = [small.expose(scene, 0.1, rng) for _ in (0, 1)]
-            parts.append(pair_points(*pair, black, CFA, range_dn=FULL))
+            first, second = (small.expose(scene, 0.1, rng) for _ in (0, 1))
+            parts.append(pair_points(first, second, black, CFA, range_dn=FULL))
         line = fit_transfer(TransferPoints.joined(parts))
         pulls.append(
             (
@@ -94,8 +96,12 @@ def test_frames_of_other_shapes_are_refused() -> None:
 
 def test_frames_without_a_slope_are_refused(sensor: Sensor) -> None:
     """Darks alone have no gain; noise-free frames have none either."""
-    flat = TransferPoints(np.full(9, 5.0), np.ones(9), np.full(9, 100), np.zeros(9, dtype=int))
-    falling = TransferPoints(np.arange(9.0), 9.0 - np.arange(9.0), np.full(9, 100), np.zeros(9, dtype=int))
+    flat = TransferPoints(
+        np.full(9, 5.0), np.full(9, 25.0), np.ones(9), np.full(9, 100), np.zeros(9, dtype=int)
+    )
+    falling = TransferPoints(
+        np.arange(9.0), np.arange(9.0) ** 2, 9.0 - np.arange(9.0), np.full(9, 100), np.zeros(9, dtype=int)
+    )
 
     with pytest.raises(BadInput, match="9 usable points"):
         fit_transfer(flat)
