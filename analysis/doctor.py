@@ -47,7 +47,8 @@ NOISE_FLOOR = 0.02
 RISING = 10.0
 """Logarithm of the odds, near the normal, from which values are believed that lack cos(theta_i) cos(theta_o).
 
-Apertures and footprints take away where a peak is narrow or lies low, as those cosines do.
+Apertures and footprints take away where a peak is narrow or lies low, as those cosines do. Nothing adds
+there: the other way round the evidence of all angles counts.
 """
 
 
@@ -81,12 +82,11 @@ class Diagnosis:
 
     def _rivals(self, other: Ranked) -> bool:
         best = self.ranked[0]
-        if other.log_odds >= -DECIDED:
+        if other.log_odds >= -DECIDED or other.log_odds_steep > best.log_odds_steep:
             return True
         light, view = (a - b for a, b in zip(best.reading.powers, other.reading.powers, strict=True))
-        if best.reading.turned == other.reading.turned and light == view != 0:
-            return other.log_odds_near > best.log_odds_near - (RISING if light < 0 else 0.0)
-        return other.log_odds_steep > best.log_odds_steep
+        rises = best.reading.turned == other.reading.turned and light == view < 0
+        return rises and other.log_odds_near > best.log_odds_near - RISING
 
     @property
     def as_declared(self) -> bool:

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.doctor_exchange import Asymmetry, Exchange, half_angle_features
 from analysis.doctor_lobes import Lobes
-from rig.angles import half_difference
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,8 +40,6 @@ TYPICAL = 0.2
 """Deviation from the lobes beyond which Cauchy's measure grows but slowly."""
 USUAL_SHARE, LARGEST = 0.68, 2.5
 """Share of samples whose deviation from the lobes is usual; what multiple of it the process sees at most."""
-NARROWEST = np.radians(5.0)
-"""Angle between half vector and normal below which lengths shrink with the angle no further."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,15 @@ class Evidence:
         rule, and Cauchy's, which the many rule. A few samples at a peak do not decide, nor do all others.
     noise_rms : float
         RMS of what is neither lobe nor smooth, reciprocal and symmetric, but for the largest deviations.
+    asymmetry : Asymmetry
+        How far what the lobes leave is from reciprocal, by samples whose exchanged directions are near.
     """
 
     total: float
     lobe_rms: float
     lobe_misfit: float
     noise_rms: float
+    asymmetry: Asymmetry
 
 
 class _Process(NamedTuple):
@@ -91,6 +92,7 @@ class Directions:
 
     def __init__(self, wi: Array, wo: Array, weights: Array, lengths: Sequence[float] = LENGTHS) -> None:
         self._lobes = Lobes.at(wi, wo, weights)
+        self._exchange = Exchange.at(wi, wo, weights)
         self._root = np.sqrt(weights)
         features = half_angle_features(wi, wo)
         centres = features[_spread_out(features)]
@@ -113,7 +115,8 @@ class Directions:
         rms = float(np.sqrt(share @ np.square(residual)))
         robust = float(share @ np.log(np.hypot(residual, TYPICAL)))
         noise = float(np.sqrt(left / np.square(self._root).sum()))
-        return Evidence(total, rms, 0.5 * (float(np.log(np.hypot(rms, KNOWN))) + robust), noise)
+        misfit = 0.5 * (float(np.log(np.hypot(rms, KNOWN))) + robust)
+        return Evidence(total, rms, misfit, noise, self._exchange.asymmetry(residual))
 
     def _bounded(self, residual: Array) -> Array:
         """Return residuals (N,), the largest cut: the process is normal, and flakes and mirrors are not."""
@@ -121,13 +124,6 @@ class Directions:
         order = np.argsort(size)
         typical = size[order[np.searchsorted(np.cumsum(self._lobes.share[order]), USUAL_SHARE)]]
         return np.clip(residual, -LARGEST * typical, LARGEST * typical)
-
-
-def half_angle_features(wi: Array, wo: Array) -> Array:
-    """Return angles (N, 3) that are the same for light and view exchanged and for both sides of the plane."""
-    theta_h, _, theta_d, phi_d = half_difference(wi, wo)
-    out_of_plane = np.sin(theta_h) * np.sin(theta_d) * np.cos(2.0 * phi_d)
-    return np.stack([np.arcsinh(theta_h / NARROWEST), 2.0 * theta_d, 2.0 * out_of_plane], axis=1)
 
 
 def _process(features: Array, centres: Array, root: Array) -> _Process:

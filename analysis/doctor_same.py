@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.doctor_evidence import half_angle_features
+from analysis.doctor_exchange import half_angle_features
 from analysis.pairing import isotropic_key
 from rig.angles import wrap
 

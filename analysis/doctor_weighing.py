@@ -130,7 +130,8 @@ class Weighing:
             self._known[turned, within] = Directions(rows.wi, rows.wo, self._weights[use], self._lengths)
         found = self._known[turned, within].evidence(read.f_r[use, 0], mixture=not self._quick)
         independent = min(INDEPENDENT, float(len(self._weights)))
-        return found, independent * found.total - LOBE_INDEPENDENT * found.lobe_misfit
+        log = independent * found.total - LOBE_INDEPENDENT * found.lobe_misfit
+        return found, log + found.asymmetry.log_likelihood
 
 
 def _reciprocity(table: AngleTable) -> float:

@@ -1,8 +1,7 @@
 """Every reader against damaged files: how many answers are wrong, and how long the slowest takes.
 
 The damages and what may be answered to them are those of the tests (`tests/analysis/damages.py`): one line
-that names the file, or a correct read. The reader is a process of its own, with 1 GB of memory. Large files,
-a MERL table and a raw `.xls`, get fewer.
+that names the file, or a correct read. The reader is a process of its own, with 1 GB of memory.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 RAW = Path(__file__).resolve().parents[2] / "shared" / "data" / "rt300s" / "raw" / "blank_20250829.xls"
-DAMAGES, OF_LARGE = 1000, 60
-LARGE_BYTES = 1_000_000
+DAMAGES = 1000
 SLOWEST_S = 2.0
 
 
@@ -42,9 +40,8 @@ def run(plots: Path | None) -> Iterator[dict[str, Any]]:
 
 
 def _file_rows(reader: Reader, label: str, file: Whole, path: Path) -> list[dict[str, Any]]:
-    count = OF_LARGE if file.path.stat().st_size > LARGE_BYTES else DAMAGES
-    say(f"  {label}: {count} damages")
-    found = list(answers(reader, file, path, count))
+    say(f"  {label}: {DAMAGES} damages")
+    found = list(answers(reader, file, path, DAMAGES))
     for _, complaint in found:
         if complaint:
             say(f"    {complaint}")
