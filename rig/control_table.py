@@ -1,12 +1,12 @@
 """The control table of Dynamixel X servos as data: address, width, who may write it, range and unit.
 
-Source: ROBOTIS e-manual (Protocol 2.0): XH430-W350, XH430-W210, XM430-W350, XM430-W210, XL430-W250. The
-430 series shares one table; what differs from model to model (number, limits, gains) stands in `MODELS`.
+Source: ROBOTIS e-manual (Protocol 2.0), XH430-W350. The X series shares one table; what differs from model to
+model (number, limits, gains, a few registers) stands in `rig.servo_models`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -254,108 +254,3 @@ _REGISTERS: tuple[Register, ...] = (
 
 CONTROL_TABLE: Mapping[str, Register] = MappingProxyType({register.name: register for register in _REGISTERS})
 """Register name -> register, with the XH430-W350's defaults and ranges."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelInfo:
-    """What one servo model is.
-
-    Attributes
-    ----------
-    name : str
-        As printed on the servo.
-    number : int
-        What it answers to a ping.
-    ticks_per_turn : int
-        Encoder counts in one turn of the horn.
-    velocity_unit_rpm, acceleration_unit_rpm2 : float
-        One count of a velocity (rev/min) and of a profile acceleration (rev/min^2).
-    current_unit_ma : float or None
-        One count of a current; None where the register holds the load in 0.1 % instead.
-    no_load_rpm : float
-        Speed at the recommended voltage without load: no profile makes it faster.
-    firmware : int
-        Lowest firmware version this table was checked against.
-    defaults : mapping
-        Where the model's registers differ from `CONTROL_TABLE`: name -> (default, minimum, maximum).
-    """
-
-    name: str
-    number: int
-    no_load_rpm: float
-    ticks_per_turn: int = 4_096
-    velocity_unit_rpm: float = 0.229
-    acceleration_unit_rpm2: float = 214.577
-    current_unit_ma: float | None = 2.69
-    firmware: int = 38
-    defaults: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-
-
-def _current(limit: int) -> dict[str, tuple[int, int, int]]:
-    return {"current_limit": (limit, 0, limit), "goal_current": (limit, -limit, limit)}
-
-
-MODELS: Mapping[str, ModelInfo] = MappingProxyType(
-    {
-        model.name: model
-        for model in (
-            ModelInfo("XH430-W350", 1000, no_load_rpm=30.0),
-            ModelInfo("XH430-W210", 1010, no_load_rpm=50.0, defaults={"velocity_limit": (210, 0, 1_023)}),
-            ModelInfo(
-                "XM430-W350",
-                1020,
-                no_load_rpm=46.0,
-                defaults={
-                    **_current(1_193),
-                    "velocity_limit": (200, 0, 1_023),
-                    "position_p_gain": (800, 0, 16_383),
-                },
-            ),
-            ModelInfo(
-                "XM430-W210",
-                1030,
-                no_load_rpm=77.0,
-                defaults={
-                    **_current(1_193),
-                    "velocity_limit": (330, 0, 1_023),
-                    "position_p_gain": (800, 0, 16_383),
-                },
-            ),
-            ModelInfo(
-                "XL430-W250",
-                1060,
-                no_load_rpm=61.0,
-                current_unit_ma=None,
-                defaults={
-                    "temperature_limit": (72, 0, 100),
-                    "max_voltage_limit": (140, 60, 140),
-                    "min_voltage_limit": (60, 60, 140),
-                    "velocity_limit": (265, 0, 1_023),
-                    "velocity_i_gain": (1_000, 0, 16_383),
-                    "position_d_gain": (4_000, 0, 16_383),
-                    "position_p_gain": (640, 0, 16_383),
-                },
-            ),
-        )
-    }
-)
-"""Model name -> what it is."""
-
-MODEL_NAMES: Mapping[int, str] = MappingProxyType({model.number: name for name, model in MODELS.items()})
-"""Model number -> model name."""
-
-
-def control_table(model: str) -> dict[str, Register]:
-    """Control table of one model: `CONTROL_TABLE` with the model's own number, defaults and ranges.
-
-    Raises
-    ------
-    KeyError
-        If the model is not in `MODELS`.
-    """
-    info = MODELS[model]
-    table = dict(CONTROL_TABLE)
-    table["model_number"] = replace(table["model_number"], default=info.number)
-    for name, (default, minimum, maximum) in info.defaults.items():
-        table[name] = replace(table[name], default=default, minimum=minimum, maximum=maximum)
-    return table

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rig.control_table import CONTROL_TABLE, MODEL_NAMES, MODELS, DriveMode, HardwareError, OperatingMode
+from rig.control_table import CONTROL_TABLE, DriveMode, HardwareError, OperatingMode
 from rig.errors import BadInput, DeviceLost, Refused
 from rig.packets import PortLost
+from rig.servo_models import MODEL_NAMES, MODELS
 from rig.ticks import rad_to_ticks, tick_rad
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from rig.control_table import MODELS
 from rig.rig_errors import cross_field, nearest
+from rig.servo_models import MODELS
 from rig.solids import BASE, Box, Sphere
 from rig.ticks import TICKS_PER_TURN
 

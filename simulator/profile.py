@@ -11,7 +11,7 @@ from rig.control_table import DriveMode
 from simulator.motion import Limits, ProfileKind
 
 if TYPE_CHECKING:
-    from rig.control_table import ModelInfo
+    from rig.servo_models import ModelInfo
     from simulator.registers import Registers
 
 _FASTEST_ACCELERATION = 32_767

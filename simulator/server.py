@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.control_table import BAUD_CODES, MODELS
+from rig.control_table import BAUD_CODES
 from rig.errors import BadInput, Refused
+from rig.servo_models import MODELS
 from simulator.fault_injector import FaultInjector
 from simulator.faults import FaultScript, load_faults
 from simulator.lamp import Exposure, Lamp

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 from rig.control_table import (
     ALERT_BIT,
-    MODELS,
     MOVING_IN_POSITION,
     MOVING_PROFILE_ONGOING,
     Area,
@@ -25,8 +24,8 @@ from rig.control_table import (
     OperatingMode,
     Register,
     StatusError,
-    control_table,
 )
+from rig.servo_models import MODELS, control_table
 from simulator.motion import Limits, Motion, move_to, turn_at
 from simulator.profile import Profile
 from simulator.registers import Registers
@@ -66,7 +65,7 @@ class Servo:
     servo_id : int
         Its ID on the bus.
     model : str
-        A model of `rig.control_table.MODELS`.
+        A model of `rig.servo_models.MODELS`.
     shaft_ticks : int
         Where the shaft stands at power-up.
     speed : float

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rig.bus import ServoBus
-from rig.control_table import CONTROL_TABLE, MODELS, HardwareError, control_table
+from rig.control_table import CONTROL_TABLE, HardwareError
 from rig.errors import BadInput, DeviceLost, Refused, Transient
 from rig.packets import DeadlinePort, PortLost, Wire
+from rig.servo_models import MODELS, control_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
