@@ -6,30 +6,30 @@ every decision is taken from there.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from bluesky import plan_stubs
 from bluesky.utils import FailedStatus, Msg
 
 from capture.exposure import Chooser, Observation
 from capture.interruptions import SKIPPED
-from capture.policy import Patience, rule_for
 from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visit
+from capture.steps import cause_of, go, require_same_camera, shoot
 from capture.store import Store, shot_id
 from rig.devices import ArmsDevice, CameraDevice, PoseGoal
 from rig.devices import Shot as Exposure
-from rig.errors import GonioError, Refused
+from rig.errors import GonioError
 
 if TYPE_CHECKING:
-    from capture.examine import CameraFacts, Examiner
-    from capture.journal import Journal
-    from rig.arms import HeldPose
+    from collections.abc import Callable, Generator, Sequence
+    from pathlib import Path
 
-Messages: TypeAlias = Generator[Msg, Any, None]
-"""A Bluesky plan."""
+    from capture.examine import Examiner
+    from capture.journal import Journal
+    from capture.policy import Patience
+    from capture.steps import Messages
+    from rig.arms import HeldPose
 
 PRIMARY = "primary"
 
@@ -130,8 +130,9 @@ class Acquisition:
         previous = self._previous(visit)
         while (exposure_s := self._next_exposure(visit, history, previous)) is not None:
             shot = self._intend(visit, len(history) + 1, exposure_s)
-            yield from self._shoot(shot)
-            history.append(self._take(shot, visit, held))
+            exposure = Exposure(shot.shot_id, shot.exposure_s, dark=not shot.lit)
+            picture = yield from shoot(self.camera, exposure, self.journal)
+            history.append(self._take(shot, visit, held, picture))
             yield from self._record()
             if self.finishing():
                 break
@@ -140,11 +141,7 @@ class Acquisition:
             self.visited(visit)
 
     def _go(self, visit: Visit) -> Generator[Msg, Any, Held]:
-        goal = PoseGoal(visit.angles_rad, visit.station)
-        yield from plan_stubs.abs_set(self.arms, goal, wait=True)
-        pose = self.arms.pose
-        if pose is None:
-            raise Refused("the arms hold no verified pose", where=f"pose {visit.pose}", todo="run again")
+        pose = yield from go(self.arms, PoseGoal(visit.angles_rad, visit.station))
         return self._hold(visit, pose)
 
     def _hold(self, visit: Visit, pose: HeldPose) -> Held:
@@ -187,42 +184,11 @@ class Acquisition:
         self.journal.intend(shot)
         return shot
 
-    def _shoot(self, shot: Shot) -> Messages:
-        """Make one exposure; a passing fault is tried again under the same name."""
-        for attempt in itertools.count(1):
-            exposure = Exposure(shot.shot_id, shot.exposure_s, dark=not shot.lit)
-            yield from plan_stubs.prepare(self.camera, exposure, wait=True)
-            try:
-                yield from plan_stubs.trigger(self.camera, wait=True)
-            except FailedStatus as failed:
-                error = cause_of(failed)
-                rule = rule_for(error)
-                if rule is None or attempt >= rule.tries:
-                    raise
-                self.journal.note("retry", shot_id=shot.shot_id, attempt=attempt, error=str(error))
-            else:
-                return
-
-    def _take(self, shot: Shot, visit: Visit, held: Held) -> Observation:
-        arrived = self.camera.path
-        if arrived is None:
-            raise Refused("the camera has no picture", where=f"shot {shot.shot_id}", todo="run again")
-        self._require_same_camera(self.examiner.camera(arrived))
+    def _take(self, shot: Shot, visit: Visit, held: Held, arrived: Path) -> Observation:
+        require_same_camera(self.journal, self.examiner, arrived)
         statistics = self.examiner.statistics(arrived, held.angles_rad)
         self.store.take(shot, visit, arrived, statistics)
         return Observation(shot.exposure_s, statistics)
-
-    def _require_same_camera(self, found: CameraFacts) -> None:
-        known = self.journal.camera()
-        if known is None:
-            self.journal.note("camera", serial=found.serial, model=found.model)
-        elif known != (found.serial, found.model):
-            raise Refused(
-                f"the frame is of camera {found.serial} ({found.model}), "
-                f"the session's others of {known[0]} ({known[1]})",
-                where=str(self.store.folder),
-                todo="connect that camera again, or begin a new session",
-            )
 
     def _record(self) -> Messages:
         """One event document: where the arms were, what was shot."""
@@ -230,13 +196,6 @@ class Acquisition:
         yield from plan_stubs.read(self.arms)
         yield from plan_stubs.read(self.camera)
         yield from plan_stubs.save()
-
-
-def cause_of(error: Exception) -> BaseException:
-    """Find the error of a device behind what the engine raises; any other is its own cause."""
-    if isinstance(error, FailedStatus) and error.__cause__ is not None:
-        return error.__cause__
-    return error
 
 
 def _observations(shots: Sequence[Shot]) -> list[Observation]:

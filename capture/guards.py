@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from capture.plan import Plan, load_plan
 from capture.session import CALIBRATION_FOLDER, PLAN_FILE, RIG_FILE, changed_calibration
 from rig.description import Rig, load_rig
 from rig.errors import Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 DISK_MARGIN = 1.5
 """Free space over the predicted size below which a capture does not start."""
@@ -85,6 +88,31 @@ def same_rig(folder: Path, facts: dict[str, Any], given: str | Path | None, port
         _require_same_calibration(place, facts["calibration"])
     filled = {name: getattr(rig.ports, name) or getattr(copy.ports, name) for name in ("servos", "lamp")}
     return rig.model_copy(update={"ports": rig.ports.model_copy(update=filled)})
+
+
+def same_exposures(folder: Path, facts: dict[str, Any], times_s: Sequence[float]) -> None:
+    """Make sure that exposures are still chosen from the times that the session began with.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+    facts : dict
+        Its `session.json`; one of an older gonio does not name the times.
+    times_s : sequence of float
+        What they would be chosen from now.
+
+    Raises
+    ------
+    Refused
+        They are others.
+    """
+    if facts.get("exposures_s", list(times_s)) != list(times_s):
+        raise Refused(
+            "exposures would be chosen from other times than when the session began",
+            where=str(folder),
+            todo="go on with the gonio that began it, or begin a new session",
+        )
 
 
 def _require_same_calibration(place: Path, wanted: dict[str, str]) -> None:

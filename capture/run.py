@@ -11,17 +11,18 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from capture.acquire import Acquisition, cause_of
+from capture.acquire import Acquisition
 from capture.documents import DocumentLog, SafeWait, make_engine
 from capture.examine import Examiner
 from capture.exposure import Chooser, Noise, Shutter, Target
-from capture.guards import require_disk, same_plan, same_rig
+from capture.guards import require_disk, same_exposures, same_plan, same_rig
 from capture.interruptions import holes
 from capture.itinerary import lay_out
 from capture.journal import Journal
 from capture.plan import Plan, load_plan
 from capture.policy import Patience
 from capture.records import Role, ShotState, Visit
+from capture.reference import ReferenceGuard
 from capture.session import (
     DOCUMENTS_FILE,
     JOURNAL_FILE,
@@ -29,6 +30,7 @@ from capture.session import (
     load_session_sensor,
     read_facts,
 )
+from capture.steps import cause_of
 from capture.store import Store, create_session, require_free
 from capture.wishes import CaptureResult, Wishes
 from rig.description import Rig, load_rig
@@ -101,6 +103,7 @@ def resume(
     servos: str | None = None,
     lamp: str | None = None,
     frames: str | Path | None = None,
+    reference_tolerance: float | None = None,
     wishes: Wishes | None = None,
 ) -> CaptureResult:
     """Go on with a session where it ended, however it ended.
@@ -115,6 +118,8 @@ def resume(
         The machine's file, if it is no longer where the session was begun from.
     servos, lamp, frames : optional
         Ports and hot folder that replace the file's.
+    reference_tolerance : float, optional
+        Share by which the light of a reference pose may have changed, instead of the rig file's.
     wishes : Wishes, optional
         Progress, questions, interruption.
 
@@ -127,7 +132,7 @@ def resume(
     BadInput
         It is no session.
     Refused
-        Plan, machine or calibration are not the session's.
+        Plan, machine or calibration are not the session's, or the light of a reference pose has changed.
     GonioError
         From the machine, which is then stopped; the session can be resumed again.
     """
@@ -136,10 +141,11 @@ def resume(
     facts = read_facts(folder)
     session_plan = same_plan(folder, facts, plan)
     machine_rig = same_rig(folder, facts, rig, {"servos": servos, "lamp": lamp, "frames": frames})
+    same_exposures(folder, facts, Shutter.of(machine_rig).times_s)
     examiner = Examiner(machine_rig, load_session_sensor(folder))
     with open_machine(machine_rig, inspect=examiner.inspect) as machine:
         wishes.controls.on_abort(machine.stop)
-        run = _Run(folder, session_plan, machine, examiner, wishes)
+        run = _Run(folder, session_plan, machine, examiner, wishes, reference_tolerance=reference_tolerance)
         run.recover()
         return run.carry_out()
 
@@ -148,12 +154,22 @@ class _Run:
     """One run of the machine into one session."""
 
     def __init__(
-        self, folder: Path, plan: Plan, machine: Machine, examiner: Examiner, wishes: Wishes
+        self,
+        folder: Path,
+        plan: Plan,
+        machine: Machine,
+        examiner: Examiner,
+        wishes: Wishes,
+        *,
+        reference_tolerance: float | None = None,
     ) -> None:
         self.folder, self.plan, self.rig, self.machine = folder, plan, machine.rig, machine
         self.examiner, self.wishes = examiner, wishes
         self.began = time.monotonic()
         self._patience = Patience()
+        self._sensor = load_session_sensor(folder)
+        self._tolerance = reference_tolerance or machine.rig.supervision.reference_tolerance
+        self._unguarded = False
         self._wait = SafeWait(machine.stop)
         self.journal = Journal(folder / JOURNAL_FILE)
         self.store = Store(folder, self.journal)
@@ -163,6 +179,7 @@ class _Run:
         """Mend what the last run left."""
         self.store.recover(self.rig.ports.frames, self.examiner.shot_of, self._examine)
         self.journal.note("resumed")
+        self._unguarded = True
 
     def carry_out(self) -> CaptureResult:
         """Do all that is not done; journal how it ended, with light and arms stopped."""
@@ -196,10 +213,26 @@ class _Run:
                 left = [visit for visit in self.journal.visits() if visit.role is role and not visit.done]
                 if left and not self._mount(role):
                     return
+                if left and role is not Role.DARK and self._unguarded:
+                    engine(self._reference(arms, camera).check(role, "resumed"))
+                    self._unguarded = False
                 if left:
                     engine(self._acquisition(arms, camera).run(left, self._metadata(role)))
                 if self.wishes.controls.finish_requested:
                     return
+
+    def _reference(self, arms: ArmsDevice, camera: CameraDevice) -> ReferenceGuard:
+        return ReferenceGuard(
+            rig=self.rig,
+            arms=arms,
+            camera=camera,
+            store=self.store,
+            examiner=self.examiner,
+            sensor=self._sensor,
+            plan_hash=self.plan.hash,
+            tolerance=self._tolerance,
+            say=self.wishes.say,
+        )
 
     def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
         asked = self.plan.exposure
@@ -220,7 +253,7 @@ class _Run:
             chooser=Chooser(
                 Shutter.of(self.rig),
                 Target(asked.snr, asked.first_s, asked.max_frames),
-                Noise.of(load_session_sensor(self.folder)),
+                Noise.of(self._sensor),
             ),
             plan_hash=self.plan.hash,
             dark_exposures_s=self._dark_exposures_s(),

@@ -31,6 +31,7 @@ FORMAT_VERSION = 1
 SESSION_FILE, JOURNAL_FILE, PLAN_FILE, RIG_FILE = "session.json", "journal.db", "plan.toml", "rig.toml"
 DOCUMENTS_FILE = "documents.jsonl"
 FRAMES_FOLDER, STRAY_FOLDER, CALIBRATION_FOLDER = "frames", "frames/stray", "calibration"
+GUARD_FOLDER = "frames/guard"
 
 _BLOCK = 1 << 20
 

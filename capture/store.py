@@ -20,6 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from capture.exposure import Shutter
 from capture.journal import Journal, disk_full, now
 from capture.plan import dump_plan
 from capture.records import Role, Shot, ShotState, Visit
@@ -27,6 +28,7 @@ from capture.session import (
     CALIBRATION_FOLDER,
     FORMAT_VERSION,
     FRAMES_FOLDER,
+    GUARD_FOLDER,
     JOURNAL_FILE,
     PLAN_FILE,
     RIG_FILE,
@@ -34,6 +36,7 @@ from capture.session import (
     STRAY_FOLDER,
     calibration_hashes,
     hash_file,
+    read_facts,
 )
 from rig.description import dump_rig
 from rig.errors import Refused
@@ -187,6 +190,35 @@ class Store:
             statistics,
         )
 
+    def keep_guard(self, arrived: Path, name: str) -> tuple[str, str]:
+        """Take a frame that only guards the session out of the hot folder.
+
+        Parameters
+        ----------
+        arrived : Path
+            Its file.
+        name : str
+            Of the shot.
+
+        Returns
+        -------
+        path : str
+            Below the session's folder.
+        sha256 : str
+
+        Raises
+        ------
+        Refused
+            The disk is full; the file stays where it arrived.
+        """
+        with full_disk_in_one_line(self.folder):
+            (self.folder / GUARD_FOLDER).mkdir(exist_ok=True)
+            data = arrived.read_bytes()
+            path = f"{GUARD_FOLDER}/{name}{arrived.suffix.lower()}"
+            write_durably(self.folder / path, data)
+            arrived.unlink(missing_ok=True)
+        return path, hashlib.sha256(data).hexdigest()
+
     def set_aside(self, path: Path, reason: str) -> None:
         """Move a file that is not the picture waited for to `frames/stray/`, and say why in the journal."""
         target = self.folder / STRAY_FOLDER / path.name
@@ -218,7 +250,7 @@ class Store:
         examine : callable
             (path, visit) -> what a frame shows; raises `BadInput` where it does not decode.
         """
-        for left in (self.folder / FRAMES_FOLDER).glob(f"*{PARTIAL_SUFFIX}"):
+        for left in (self.folder / FRAMES_FOLDER).rglob(f".*{PARTIAL_SUFFIX}"):
             left.unlink()
         visits = {visit.number: visit for visit in self.journal.visits()}
         arrivals = self._arrivals(hot_folder, shot_of)
@@ -262,15 +294,16 @@ class Store:
             self.set_aside(path, f"of shot {shot.shot_id}, which is made again")
 
     def _arrivals(self, hot_folder: Path, shot_of: Callable[[Path], str | None]) -> dict[str, list[Path]]:
-        """Files in the hot folder, newer than the session, that carry the name of one of its shots."""
+        """Files in the hot folder, newer than the session, with the name of one of its shots or guards."""
         known = {shot.shot_id for shot in self.journal.shots()}
+        guards = guard_series(read_facts(self.folder)["plan"]["hash"], "")
         begun_s = (self.folder / SESSION_FILE).stat().st_mtime - CLOCK_SLACK_S
         found: dict[str, list[Path]] = {}
         for file in sorted(hot_folder.iterdir()):
             if file.name.startswith(".") or not file.is_file() or file.stat().st_mtime < begun_s:
                 continue
             shot_id = shot_of(file)
-            if shot_id in known:
+            if shot_id is not None and (shot_id in known or shot_id.startswith(guards)):
                 found.setdefault(shot_id, []).append(file)
         return found
 
@@ -283,6 +316,11 @@ def frame_path(visit: Visit, frame: int, suffix: str) -> str:
 def shot_id(plan_hash: str, role: Role, pose: int, frame: int) -> str:
     """Name of a shot: the same in every run of the same plan, and in no other plan."""
     return f"{plan_hash[:8]}-{role}-{pose:04d}-{frame}"
+
+
+def guard_series(plan_hash: str, series: str | int) -> str:
+    """Begin the names of the shots of one comparison with a reference pose; no other shots begin so."""
+    return f"{plan_hash[:8]}-guard-{series}"
 
 
 def write_durably(path: Path, data: bytes) -> None:
@@ -350,6 +388,7 @@ def _facts(
         "rig": {"name": rig.name, "hash": rig.hash, "path": path},
         "calibration": calibration,
         "camera": rig.camera.serial,
+        "exposures_s": list(Shutter.of(rig).times_s),
         "servos": dict(servos),
         "versions": {"python": platform.python_version()}
         | {library: metadata.version(library) for library in _LIBRARIES},

@@ -29,6 +29,7 @@ from rig.parts import (
     Ports,
     Sample,
     Station,
+    Supervision,
     White,
 )
 from rig.rig_checks import contradictions
@@ -51,6 +52,7 @@ __all__ = [
     "Solid",
     "Sphere",
     "Station",
+    "Supervision",
     "White",
     "default_rig",
     "dump_rig",
@@ -81,6 +83,9 @@ class Rig(Part):
     )
     white: White = Field(default_factory=White, description="the white reference")
     clearance: Clearance = Field(default_factory=Clearance, description="what keeps the arms apart")
+    supervision: Supervision = Field(
+        default_factory=Supervision, description="levels that pause a capture when they leave their band"
+    )
     solids: tuple[Solid, ...] = Field(
         (), max_length=200, description="what must not touch, at most 200; none: only angles are checked"
     )

@@ -74,6 +74,16 @@ class Joint(Part):
         0.1, gt=0, le=10, description="distance from the goal that counts as arrived, above 0 to 10 degrees"
     )
     park_deg: float = Field(0.0, description="angle when parked, in degrees, within limits_deg")
+    approach: Literal["direct", "from_below", "from_above"] = Field(
+        "direct",
+        description='"direct", or always from the same side against backlash: "from_below", "from_above"',
+    )
+    overshoot_deg: float = Field(
+        1.0,
+        gt=0,
+        le=45,
+        description="where a one-sided approach begins, above 0 to 45 degrees from the goal, within limits_deg",
+    )
 
 
 class Arms(Part):
@@ -187,4 +197,43 @@ class Clearance(Part):
         ge=0.1,
         le=10_000,
         description="least distance of solids that move past each other, 0.1 to 10000 mm",
+    )
+
+
+class Supervision(Part):
+    """Levels that are logged with every pose; one that leaves its band pauses the capture until it is back."""
+
+    temperature_margin_deg_c: float = Field(
+        10.0,
+        ge=1,
+        le=50,
+        description="pause when a servo comes so near to its own temperature limit, 1 to 50 degrees C",
+    )
+    voltage_min_v: float = Field(
+        0.0,
+        ge=0,
+        le=60,
+        description="pause when a servo's supply is below, 0 to 60 V; 0: what its model takes",
+    )
+    voltage_max_v: float = Field(
+        0.0,
+        ge=0,
+        le=60,
+        description="pause when a servo's supply is above, 0 to 60 V; 0: what its model takes",
+    )
+    load_max: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="pause when a standing servo takes more of its current limit, a share above 0 to 1",
+    )
+    settle_s: float = Field(
+        900.0, ge=0, le=86_400, description="a pause that takes longer ends the run, 0 to 86400 s"
+    )
+    reference_tolerance: float = Field(
+        0.01,
+        gt=0,
+        le=1,
+        description="share by which the light of a reference pose may have changed after an interruption, "
+        "above 0 to 1",
     )

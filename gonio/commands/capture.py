@@ -3,6 +3,7 @@
 The first Ctrl-C finishes the frame, a second one aborts; `gonio rig stop` from another terminal stops too.
 However it ends, light and arms are stopped, and `gonio capture --resume SESSION` goes on.
 
+Before it goes on, a resumed capture shoots a reference pose again; where its light has changed, it refuses.
 A pose whose fault does not pass is skipped and tried again at the end of its pass. Poses still missing then
 are listed with their reasons (exit code 4); resuming tries them again.
 """
@@ -40,6 +41,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lamp", metavar="PORT", help="serial port of the lamp, instead of the file's")
     parser.add_argument("--frames", type=Path, metavar="FOLDER", help="hot folder, instead of the file's")
     parser.add_argument(
+        "--reference-tolerance",
+        type=float,
+        metavar="SHARE",
+        help="with --resume: by how much the light of a reference pose may have changed (default: rig file)",
+    )
+    parser.add_argument(
         "--mounted",
         default="",
         metavar="white,sample",
@@ -57,6 +64,10 @@ def run(options: argparse.Namespace) -> int:
         raise BadInput("nothing to do", where="gonio capture", todo=f"for example: {EXAMPLE}")
     if options.resume is not None and options.out is not None:
         raise BadInput("--out and --resume", where="gonio capture", todo="give one of them")
+    tolerance = options.reference_tolerance
+    if tolerance is not None and (options.resume is None or not tolerance > 0.0):
+        todo = "give a share above 0, together with --resume"
+        raise BadInput(f"{tolerance:g} cannot be used", where="--reference-tolerance", todo=todo)
     with StopRequests("frame") as requests:
         wishes = _wishes(requests, mounted)
         try:
@@ -80,7 +91,14 @@ def _capture(options: argparse.Namespace, wishes: Wishes) -> CaptureResult:
 
     ports = {"servos": options.servos, "lamp": options.lamp, "frames": options.frames}
     if options.resume is not None:
-        return resume(options.resume, plan=options.plan, rig=options.rig, wishes=wishes, **ports)
+        return resume(
+            options.resume,
+            plan=options.plan,
+            rig=options.rig,
+            reference_tolerance=options.reference_tolerance,
+            wishes=wishes,
+            **ports,
+        )
     from rig.description import load_rig
 
     rig_file = options.rig or Path("rig.toml")

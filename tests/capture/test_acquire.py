@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import threading
 import time
@@ -382,6 +383,17 @@ def test_resume_refuses_another_plan_machine_or_calibration(
         resume(reference, rig=tmp_path / "rig.toml")
     with pytest.raises(Refused, match="--rig"):
         resume(reference, rig=tmp_path / "gone.toml")
+
+
+def test_resume_refuses_other_exposure_times(reference: Path, tmp_path: Path) -> None:
+    """Would catch a newer gonio that goes on with exposures the session's other poses never had."""
+    session = shutil.copytree(reference, tmp_path / "s")
+    facts = json.loads((session / "session.json").read_text())
+    assert len(facts["exposures_s"]) > 10
+    facts["exposures_s"][3] *= 1.1
+    (session / "session.json").write_text(json.dumps(facts))
+    with pytest.raises(Refused, match="other times"):
+        resume(session)
 
 
 def test_the_same_machine_on_other_ports_goes_on(
