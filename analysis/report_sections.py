@@ -135,7 +135,8 @@ def _metrics_table(fits: Sequence[FitResult]) -> str:
     return table(["Goodness of fit", *(_METRICS[name] for name in names)], rows)
 
 
-def _figure(svg: bytes, alt: str, caption: str) -> str:
+def picture(svg: bytes, alt: str, caption: str) -> str:
+    """Set a figure with its caption, which is HTML."""
     source = data_uri(svg, "image/svg+xml")
     return f'<figure><img alt="{escape(alt)}" src="{source}"><figcaption>{caption}</figcaption></figure>'
 
@@ -144,7 +145,7 @@ def coverage(samples: xr.Dataset) -> str:
     """Show where light and camera stood."""
     poses = np.unique(samples["pose"].to_numpy()).size if "pose" in samples else 0
     from_poses = f" from {poses} poses" if poses else ""
-    return "<h3>Pose coverage</h3>" + _figure(
+    return "<h3>Pose coverage</h3>" + picture(
         figures.coverage(samples),
         "Polar plots of light and camera directions",
         f"{samples.sizes['sample']} direction pairs{from_poses}. The plots look down on the sample: the "
@@ -156,7 +157,7 @@ def coverage(samples: xr.Dataset) -> str:
 def frame(shown: ShownFrame) -> str:
     """Show one merged frame with its noise and flags."""
     image = shown.image
-    return "<h3>One merged frame</h3>" + _figure(
+    return "<h3>One merged frame</h3>" + picture(
         figures.frame(image.radiance, image.variance, image.flags, shown.channel),
         "Radiance, relative noise and flags of one merged frame",
         f"{escape(shown.caption)}. Radiance is the mean of each quad's sites in the camera's own channels, "
@@ -174,7 +175,7 @@ def lobes(measurement: Measurement) -> str:
     channel = names.index("G") if "G" in names else 0
     models = {fitted.model.NAME: fitted.model for fitted in measurement.fits[:SHOWN_MODELS]}
     in_plane, near = np.rad2deg([figures.IN_PLANE_RAD, figures.NEAR_INCIDENCE_RAD])
-    return "<h3>Lobes in the plane of incidence</h3>" + _figure(
+    return "<h3>Lobes in the plane of incidence</h3>" + picture(
         figures.lobes(samples, models, channel),
         "BRDF over camera angle in the plane of incidence",
         f"Channel {escape(names[channel])}. Points: bins within {in_plane:.2g}° of the plane and "
@@ -188,7 +189,7 @@ def quality(measurement: Measurement, evaluation: Evaluation) -> str:
     samples = measurement.samples
     parts = [
         "<h3>Residuals</h3>",
-        _figure(
+        picture(
             figures.residuals(samples, evaluation),
             "Residuals over half-vector angle and histogram of pulls",
             f"Samples against the fitted {escape(measurement.fits[0].model.NAME)}. A pull is a residual over "
@@ -199,7 +200,7 @@ def quality(measurement: Measurement, evaluation: Evaluation) -> str:
     if evaluation.columns:
         parts += [
             "<h3>Uncertainty budget</h3>",
-            _figure(
+            picture(
                 figures.budget(samples, evaluation),
                 "Relative standard uncertainty by source",
                 "Median relative standard uncertainty of a sample by source. <i>noise</i> and <i>binning</i> "
@@ -236,7 +237,7 @@ def pixels(measurement: Measurement) -> str:
     counts = _counts(measurement.samples)
     if not measurement.exposure_s:
         return f"<h3>Flags</h3>{counts}" if counts else ""
-    drawn = _figure(
+    drawn = picture(
         figures.exposures(measurement.exposure_s),
         "Histogram of exposures",
         "Exposures of all frames by pass, each chosen from what the sensor had seen.",

@@ -59,7 +59,7 @@ class SensorModel:
     prnu : float, optional
         Relative standard deviation of the pixels' responses.
     lamp_temperature_deg_c : float, optional
-        What the lamp controller's thermometer read; it stands for the room.
+        Of the lamp head before the lamp first came on, which is the room's after a pause.
 
     Raises
     ------

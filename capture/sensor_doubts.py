@@ -101,7 +101,7 @@ def doubts_in_use(
     now : datetime, optional
         With a time zone; default: the clock's.
     lamp_temperature_deg_c : float, optional
-        What the lamp controller's thermometer reads.
+        Of the lamp head, before the lamp comes on.
 
     Returns
     -------

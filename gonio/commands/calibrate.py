@@ -1,0 +1,159 @@
+"""Calibrate parts of the machine; so far its sensor.
+
+sensor  bias, dark current, hot pixels, gain and read noise (photon transfer), linearity, clip level of each
+        channel, from frames of the white and of the dark that the machine shoots itself, or from a folder of
+        frames (--frames-from): darks are files that say so themselves, or with "dark" in their own or their
+        folder's name; all others are flats, two or more of each exposure, up to beyond clipping
+
+The result replaces calibration/sensor.toml beside the rig file; frames, maps, data sheet (JSON) and a page
+stay in a dated folder there. A frame of another camera or ISO, or a dark frame with light in it, is named,
+and nothing is replaced.
+"""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.commands.rig import add_rig_options, load_rig_options
+from gonio.mounting import add_mounted_option, machine_wishes, mounted_roles
+from gonio.output import add_json_option, at_work, print_json, say
+from rig.errors import GonioError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from capture.characterise import SensorCharacter
+    from capture.sensor_shots import ShotFrames
+    from rig.description import Rig
+
+EXAMPLE = "gonio calibrate sensor --rig rig.toml"
+
+PAGE_FILE = "report.html"
+ROLES = ("white",)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="sensor")
+    text = "gain, noise, clip level, linearity, hot pixels"
+    action = actions.add_parser("sensor", help=text, description=text)
+    add_rig_options(action)
+    action.add_argument(
+        "--frames-from", type=Path, metavar="FOLDER", help="use these frames instead of shooting any"
+    )
+    action.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="calibration folder; default: calibration beside the rig file",
+    )
+    add_mounted_option(action, ROLES)
+    add_json_option(action)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate: 0 when the calibration is written, else as for every command; 130 after Ctrl-C."""
+    given = options.frames_from is not None
+    rig = None if given and not options.rig.is_file() else load_rig_options(options)
+    calibration = options.out or (rig.folder if rig is not None else Path()) / "calibration"
+    folder = calibration / f"sensor-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    if given or rig is None:
+        return _finish(options, options.frames_from, rig, folder)
+    shot, exit_code = _shoot(options, rig, folder)
+    if shot is None or not shot.complete:
+        say(f"gonio calibrate: ended early; {calibration / 'sensor.toml'} is as it was")
+        return exit_code if exit_code is not None else 3
+    return _finish(options, folder, rig, folder, lamp_temperature_deg_c=shot.lamp_temperature_deg_c)
+
+
+def _shoot(options: argparse.Namespace, rig: Rig, folder: Path) -> tuple[ShotFrames | None, int | None]:
+    from capture.sensor_shots import shoot_sensor
+    from gonio.signals import StopRequests
+
+    mounted = mounted_roles(options.mounted, ROLES)
+    with StopRequests("frame") as requests:
+        try:
+            shot = shoot_sensor(rig, folder, machine_wishes(requests, mounted, "calibrate"))
+        except GonioError as error:
+            if requests.exit_code is None:
+                raise
+            say(f"gonio calibrate: {' '.join(str(error).split())}")
+            return None, requests.exit_code
+        return shot, requests.exit_code
+
+
+def _finish(
+    options: argparse.Namespace,
+    frames: Path,
+    rig: Rig | None,
+    folder: Path,
+    *,
+    lamp_temperature_deg_c: float | None = None,
+) -> int:
+    """Characterise the frames, write everything, tell."""
+    from analysis.sensor_page import write_sensor_page
+    from capture.characterise import characterise
+    from capture.sensor import save_sensor
+    from capture.sensor_doubts import doubts_of
+    from capture.sensor_frames import raw_files, sort_frames
+    from capture.sensor_shots import require_serial
+    from capture.sensor_summary import write_summary
+    from rig.files import whole_file
+
+    with at_work("working out the sensor's character"):
+        sorted_frames = sort_frames(raw_files(frames), frames)
+        if rig is not None:
+            require_serial(rig, sorted_frames.first.camera_serial)
+        character = characterise(sorted_frames)
+    doubts = doubts_of(character)
+    model = character.model(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        lamp_temperature_deg_c=lamp_temperature_deg_c,
+        note="gonio calibrate sensor",
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_summary(folder, character, model, doubts)
+    write_sensor_page(folder / PAGE_FILE, character, model, doubts)
+    current = folder.parent / "sensor.toml"
+    with whole_file(current) as file:
+        save_sensor(model, file)
+    _tell(options, character, current, folder, doubts)
+    return 0
+
+
+def _tell(
+    options: argparse.Namespace, character: SensorCharacter, current: Path, folder: Path, doubts: list[str]
+) -> None:
+    from capture.sensor_summary import SUMMARY_FILE, quantities
+
+    items = quantities(character)
+    if options.json:
+        facts: dict[str, Any] = {
+            "calibration": str(current),
+            "page": str(folder / PAGE_FILE),
+            "summary": str(folder / SUMMARY_FILE),
+            "quantities": {
+                item.key: {"value": _finite(item.value), "u": _finite(item.u), "unit": item.unit}
+                for item in items
+            },
+            "clip_dn": dict(zip(character.channels, character.clip_dn, strict=True)),
+            "doubts": doubts,
+        }
+        print_json(facts)
+    else:
+        for item in items:
+            sure = "" if item.u is None or not math.isfinite(item.u) else f" ± {item.u:.2g}"
+            value = "unknown" if not math.isfinite(item.value) else f"{item.value:.5g}{sure} {item.unit}"
+            print(f"{item.name:<42} {item.symbol:<9} {value}".rstrip())
+        clips = ", ".join(f"{n} {c:g}" for n, c in zip(character.channels, character.clip_dn, strict=True))
+        print(f"{'clip level, black included':<52} {clips} DN")
+        print(f"{current}    page: {folder / PAGE_FILE}")
+    for doubt in doubts:
+        say(f"gonio calibrate: {doubt}")
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
