@@ -37,7 +37,8 @@ class Profile:
         """Ticks per second of one count of a velocity."""
         self.acceleration_unit = model.acceleration_unit_rpm2 * model.ticks_per_turn / 3600.0
         """Ticks per second squared of one count of an acceleration."""
-        self._motor = model.no_load_rpm * model.ticks_per_turn / 60.0
+        self.motor = model.no_load_rpm * model.ticks_per_turn / 60.0
+        """Ticks per second of the motor without load."""
 
     def acceleration(self) -> float:
         """Acceleration in ticks per second squared, as velocity-based profiles have it."""
@@ -57,7 +58,7 @@ class Profile:
         acceleration = self._registers.get("profile_acceleration")
         kind = None if acceleration else ProfileKind.RECTANGULAR
         if velocity == 0:
-            return Limits(self._slowed(self._motor), self.acceleration()), ProfileKind.STEP
+            return Limits(self._slowed(self.motor), self.acceleration()), ProfileKind.STEP
         if not self._by_time():
             return Limits(self._slowed(velocity * self.velocity_unit), self.acceleration()), kind
         total_s = velocity / 1000.0
@@ -71,4 +72,4 @@ class Profile:
     def _slowed(self, velocity: float) -> float:
         """Keep a velocity within the velocity limit and what the motor can do."""
         limit = self._registers.get("velocity_limit") * self.velocity_unit
-        return max(min(velocity, limit, self._motor), _CRAWL)
+        return max(min(velocity, limit, self.motor), _CRAWL)

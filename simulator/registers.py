@@ -33,6 +33,15 @@ class Registers:
         register = self._table[name]
         return register.decode(bytes(self._memory[register.address : register.end]))
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of all registers."""
+        return frozenset(self._table)
+
+    def default(self, name: str) -> int:
+        """Value of a register when it is new, or after power-up."""
+        return self._table[name].default
+
     def set(self, name: str, value: int) -> None:
         """Store a value, whatever the register's access and range."""
         register = self._table[name]

@@ -1,7 +1,7 @@
-"""One Dynamixel X servo with its whole control table: what it remembers, refuses, does and reports.
+"""One Dynamixel X servo with its whole control table: what it remembers, does, reports and forgets.
 
-Source: ROBOTIS e-manual, XH430-W350. Time comes in from outside (seconds of a monotonic clock); motion runs
-`speed` times faster than that clock, the bus watchdog and the tick counter do not.
+Source: ROBOTIS e-manual, X series. Time comes in from outside (seconds of a monotonic clock); motion and heat
+run `speed` times faster than that clock, the bus watchdog, the overload timer and the tick counter do not.
 
 Three positions matter. The shaft's is physical, in ticks of the encoder, turns included, and nothing but
 motion changes it. What the servo reports is the shaft's with direction, homing offset and the turns it has
@@ -11,50 +11,38 @@ counted since power-up. The goal is in the reported frame.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rig.control_table import (
-    ALERT_BIT,
-    MOVING_IN_POSITION,
-    MOVING_PROFILE_ONGOING,
-    Area,
-    DriveMode,
-    HardwareError,
-    OperatingMode,
-    Register,
-    StatusError,
-)
+from rig.control_table import ALERT_BIT, Area, DriveMode, HardwareError, OperatingMode, StatusError
 from rig.servo_models import MODELS, control_table
-from simulator.motion import Limits, Motion, move_to, turn_at
+from simulator.motion import turn_at
 from simulator.profile import Profile
 from simulator.registers import Registers
+from simulator.servo_body import Body
+from simulator.servo_report import Report
+from simulator.servo_rules import GOALS, POSITION_MODES, WATCHDOG_TRIPPED, Rules
+from simulator.shaft import Flaws, Shaft, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 TICKS_PER_TURN = 4096
-SUPPLY_DV, TEMPERATURE_DEG_C = 120, 32
-"""What a healthy servo measures of itself: 12.0 V and a body a little warmer than the room."""
 WATCHDOG_UNIT_S = 0.02
 NEVER = 255
 """A secondary ID that answers to nobody."""
-BUS_WATCHDOG_TRIPPED = -1
+OVERLOAD_S = 3.0
+"""Full effort for so long is an overload."""
 
-_POSITION_MODES = (
-    OperatingMode.POSITION,
-    OperatingMode.EXTENDED_POSITION,
-    OperatingMode.CURRENT_BASED_POSITION,
-)
-_GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
-_LIMITED_BY = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}
 _HOMING_LIMIT_IN_ONE_TURN = 1024
 _MEASURED_FROM, _MEASURED_TO = 120, 147
 _CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"
-
-
-def _nearest(ticks: float) -> int:
-    return math.floor(ticks + 0.5)
+_GAINS = (
+    "velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain",
+    "feedforward_1st_gain", "feedforward_2nd_gain",
+)  # fmt: skip
+_PROFILE = ("profile_velocity", "profile_acceleration")
+_GAIN_UNIT = 128.0
+_FULL_PWM = 885.0
 
 
 class Servo:
@@ -74,6 +62,8 @@ class Servo:
         Time of power-up, seconds.
     eeprom : mapping of str to int, optional
         EEPROM registers that differ from the factory's.
+    flaws : Flaws, optional
+        Backlash and steady-state error; none by default.
     """
 
     def __init__(
@@ -85,31 +75,34 @@ class Servo:
         speed: float = 1.0,
         now: float = 0.0,
         eeprom: Mapping[str, int] | None = None,
+        flaws: Flaws | None = None,
     ) -> None:
         self.model = MODELS[model]
         self._registers = Registers(control_table(model))
+        self._rules = Rules(self.model, self._registers)
         self._profile = Profile(self.model, self._registers)
-        self._speed, self._power_up, self._heard = speed, now, now
-        self._motion, self._motion_start = Motion(float(shaft_ticks)), now
+        self._shaft = Shaft(float(shaft_ticks), speed=speed, now=now)
+        self._body = Body(self.model.supply_v, self.model.stall_a, now=now, speed=speed)
+        self._flaws = flaws or Flaws()
+        self._power_up = self._heard = now
         self._counted_turns = 0
-        self._temperature_deg_c = TEMPERATURE_DEG_C
-        self._hindrance = (1.0, now)
+        self._saturated_since: float | None = None
         self._shut_down = False
         self._registered: tuple[int, bytes] | None = None
         self._after: dict[str, Callable[[int, float], None]] = {
             "torque_enable": self._after_torque,
             "goal_position": self._after_goal_position,
             "goal_velocity": self._after_goal_velocity,
-            "operating_mode": self._after_frame_change,
+            "goal_pwm": self._after_goal_pwm,
+            "goal_current": self._after_goal_current,
+            "operating_mode": self._after_mode,
             "homing_offset": self._after_frame_change,
             "drive_mode": self._after_frame_change,
-            "temperature_limit": self._after_limit,
-            "max_voltage_limit": self._after_limit,
-            "min_voltage_limit": self._after_limit,
         }
         self._registers.reset(Area.EEPROM)
         for name, value in {"id": servo_id, **(eeprom or {})}.items():
             self._registers.set(name, value)
+        self._report = Report(self.model, self._registers, self._profile)
         self.reboot(now)
 
     # -- what the line asks
@@ -135,7 +128,7 @@ class Servo:
 
     def hear(self, now: float) -> None:
         """Take note that an instruction came over the bus: the bus watchdog starts again."""
-        self._check_watchdog(now)
+        self._advance(now)
         self._heard = now
 
     def value(self, name: str) -> int:
@@ -166,21 +159,21 @@ class Servo:
             ACCESS (no such register, read only, or EEPROM under torque), DATA_LENGTH (part of a register),
             DATA_RANGE, DATA_LIMIT (beyond a limit register), RESULT_FAIL, or NONE.
         """
-        self._check_watchdog(now)
+        self._advance(now)
         error, values = self._registers.split(address, data)
-        if not error:
-            error = next((e for e in (self._refusal(r, v) for r, v in values) if e), StatusError.NONE)
+        error = error or self._rules.refusal(values, shut_down=self._shut_down)
         if not error:
             for register, value in values:
                 self._registers.set(register.name, value)
                 if register.name in self._after:
                     self._after[register.name](value, now)
+            self._check_hardware(now)
         return error
 
     def register_write(self, address: int, data: bytes) -> StatusError:
         """Keep a write for `act`, if it would be accepted now."""
         error, values = self._registers.split(address, data)
-        error = error or next((e for e in (self._refusal(r, v) for r, v in values) if e), StatusError.NONE)
+        error = error or self._rules.refusal(values, shut_down=self._shut_down)
         if not error:
             self._registered = (address, data)
             self._registers.set("registered_instruction", 1)
@@ -196,11 +189,11 @@ class Servo:
         return self.write(address, data, now)
 
     def reboot(self, now: float) -> None:
-        """Power-up: RAM at its defaults, torque off, hardware errors cleared, turns forgotten."""
-        self._halt(now)
+        """Power-up: RAM at its defaults, torque off, errors cleared, turns forgotten; heat stays."""
+        self._live(now)
+        self._shaft.halt(now)
         self._registers.reset(Area.RAM)
-        self._registered, self._shut_down = None, False
-        self._temperature_deg_c = TEMPERATURE_DEG_C
+        self._registered, self._shut_down, self._saturated_since = None, False, None
         self._heard = now
         self._forget_turns(now)
         self._registers.set("goal_position", self.present_ticks(now))
@@ -234,20 +227,34 @@ class Servo:
         """Let hardware errors happen; those in the shutdown mask cut the torque until a reboot."""
         self._registers.set("hardware_error_status", self.value("hardware_error_status") | errors)
         if errors & self.value("shutdown"):
-            self._halt(now)
+            self._live(now)
+            self._shaft.halt(now)
             self._registers.set("torque_enable", 0)
             self._shut_down = True
 
-    def heat(self, temperature_deg_c: int, now: float) -> None:
-        """Let it grow warm; beyond its limit that is a hardware error. It has cooled after a reboot."""
-        self._temperature_deg_c = temperature_deg_c
+    # -- what befalls it
+
+    def heat(self, temperature_deg_c: float, now: float) -> None:
+        """Let it be warm; beyond its limit that is a hardware error. It cools by and by."""
+        self._advance(now)
+        self._body.temperature_deg_c = temperature_deg_c
         self._check_hardware(now)
 
     def hinder(self, factor: float, now: float, until: float) -> None:
         """Let something hold the shaft until then: it moves so many times as fast, or with 0 not at all."""
-        if factor == 0.0:
-            self._halt(now)
-        self._hindrance = (factor, until)
+        self._advance(now)
+        self._shaft.hinder(factor, now, until)
+
+    def press(self, share: float, now: float, until: float) -> None:
+        """Let something lean on the shaft until then: holding against it takes this share of full effort."""
+        self._advance(now)
+        self._body.press(share, until)
+
+    def weaken_supply(self, factor: float, now: float, until: float) -> None:
+        """Let the supply give only so much of its voltage until then."""
+        self._advance(now)
+        self._body.weaken(factor, until)
+        self._check_hardware(now)
 
     def lose_turn(self) -> None:
         """Let the count of turns be off by one; in position mode, of one turn, there is nothing to lose."""
@@ -255,26 +262,38 @@ class Servo:
             self._counted_turns += 1
 
     def trip_watchdog(self, now: float) -> None:
-        """Let the bus watchdog trip: the shaft stops, and goals are refused until it is cleared."""
-        self._halt(now)
-        self._registers.set("bus_watchdog", BUS_WATCHDOG_TRIPPED)
+        """Let the bus watchdog trip: the shaft stops, and goals are refused until it is cleared.
+
+        In extended mode with a homing offset the motor runs away instead (DynamixelSDK issue 584).
+        """
+        self._live(now)
+        self._shaft.halt(now)
+        self._registers.set("bus_watchdog", WATCHDOG_TRIPPED)
+        for name in _PROFILE:
+            self._registers.set(name, 0)
+        if self.value("operating_mode") == OperatingMode.EXTENDED_POSITION and self.value("homing_offset"):
+            self._turn(self._profile.motor, now)
 
     # -- where it is
 
     def shaft_ticks(self, now: float) -> int:
         """Tick of the encoder that the shaft stands at, turns included, whatever the offsets say."""
-        self._check_watchdog(now)
-        return _nearest(self._shaft(now)[0])
+        self._advance(now)
+        return nearest(self._shaft.at(now)[0])
+
+    def behind_ticks(self) -> float:
+        """How far the arm hangs from where the encoder sees the shaft."""
+        return self._shaft.behind_ticks(self._flaws.backlash_ticks)
 
     def moving(self, now: float) -> bool:
         """Tell whether a profile is running or the shaft turns faster than the moving threshold."""
-        self._check_watchdog(now)
-        speed = abs(self._shaft(now)[1]) / self._profile.velocity_unit
-        return self._running(now) or speed > self.value("moving_threshold")
+        self._advance(now)
+        speed = abs(self._shaft.at(now)[1]) / self._profile.velocity_unit
+        return self._shaft.running(now) or speed > self.value("moving_threshold")
 
     def present_ticks(self, now: float) -> int:
         """Position as the servo reports it."""
-        return _nearest(self._reported(self._shaft(now)[0]))
+        return nearest(self._reported(self._shaft.at(now)[0]))
 
     # -- frames
 
@@ -299,148 +318,145 @@ class Servo:
         self._counted_turns = 0
         self._counted_turns = -(self.present_ticks(now) // TICKS_PER_TURN)
 
-    # -- motion
-
-    def _motion_time(self, now: float) -> float:
-        return (now - self._motion_start) * self._speed
-
-    def _shaft(self, now: float) -> tuple[float, float]:
-        return self._motion.at(self._motion_time(now))
-
-    def _running(self, now: float) -> bool:
-        return self._motion_time(now) < self._motion.duration_s
-
-    def _start(self, motion: Motion, now: float) -> None:
-        self._motion, self._motion_start = motion, now
-
-    def _halt(self, now: float) -> None:
-        """Stand still at once, on a whole tick: what is reported is where the shaft is."""
-        self._start(Motion(float(_nearest(self._shaft(now)[0]))), now)
-
     # -- what follows a write
 
     def _after_torque(self, value: int, now: float) -> None:
-        self._halt(now)
+        self._shaft.halt(now)
         if value and self.value("operating_mode") == OperatingMode.POSITION:
             self._forget_turns(now)
         # The goal follows the shaft: switching the torque on never makes an arm jump.
         self._registers.set("goal_position", self.present_ticks(now))
         self._registers.set("goal_velocity", 0)
+        if self.value("operating_mode") == OperatingMode.PWM:
+            self._registers.set("goal_pwm", 0)
+        if self.value("operating_mode") == OperatingMode.CURRENT:
+            self._registers.set("goal_current", 0)
 
-    def _after_goal_position(self, value: int, now: float) -> None:
+    def _after_goal_position(self, _value: int, now: float) -> None:
         if not self.value("torque_enable"):
             if not self.value("drive_mode") & DriveMode.TORQUE_ON_BY_GOAL or self._shut_down:
                 return
             self._registers.set("torque_enable", 1)
-        if self.value("operating_mode") not in _POSITION_MODES:
+        self._set_out(now)
+
+    def _set_out(self, now: float) -> None:
+        """Make for the goal, as far as friction lets it come."""
+        if self.value("operating_mode") not in POSITION_MODES or not self.value("torque_enable"):
             return
-        position, velocity = self._shaft(now)
-        target = self._to_shaft(value)
-        limits, kind = self._profile.limits(target - position)
-        factor, until = self._hindrance
-        if now < until:
-            if factor == 0.0:
-                return
-            limits = Limits(limits.velocity * factor, limits.acceleration * factor)
-        motion = move_to(target, position, velocity, limits)
-        self._start(motion if kind is None else replace(motion, kind=kind), now)
+        position = self._shaft.at(now)[0]
+        way = self._to_shaft(self.value("goal_position")) - position
+        way -= math.copysign(min(self._steady_error_ticks(), abs(way)), way)
+        limits, kind = self._profile.limits(way)
+        self._shaft.go(position + way, limits, kind, now)
+
+    def _steady_error_ticks(self) -> float:
+        if not self._flaws.steady_error_ticks or self.value("position_i_gain"):
+            return 0.0
+        usual = self._registers.default("position_p_gain")
+        return self._flaws.steady_error_ticks * usual / max(self.value("position_p_gain"), 1)
 
     def _after_goal_velocity(self, value: int, now: float) -> None:
-        if self.value("operating_mode") == OperatingMode.VELOCITY and self.value("torque_enable"):
-            goal = self._direction * value * self._profile.velocity_unit
-            self._start(turn_at(goal, *self._shaft(now), self._profile.acceleration()), now)
+        if self.value("operating_mode") == OperatingMode.VELOCITY:
+            self._turn(value * self._profile.velocity_unit, now)
+
+    def _after_goal_pwm(self, value: int, now: float) -> None:
+        if self.value("operating_mode") == OperatingMode.PWM:
+            self._turn(self._profile.motor * value / _FULL_PWM, now)
+
+    def _after_goal_current(self, value: int, now: float) -> None:
+        """Turn at full speed at any current above friction: a light arm has nothing to push against."""
+        if self.value("operating_mode") == OperatingMode.CURRENT:
+            unit_a = (self.model.current_unit_ma or 0.0) / 1000.0
+            turns = abs(value) * unit_a / self.model.stall_a > self._body.friction
+            self._turn(math.copysign(self._profile.motor, value) if turns else 0.0, now)
+
+    def _turn(self, velocity: float, now: float) -> None:
+        if self.value("torque_enable"):
+            goal = self._direction * velocity * self._shaft.freedom(now)
+            self._shaft.start(turn_at(goal, *self._shaft.at(now), self._profile.acceleration()), now)
+
+    def _after_mode(self, _value: int, now: float) -> None:
+        """Switching the mode forgets turns, gains, profile and what limits the output."""
+        self._forget_turns(now)
+        for name in (*_GAINS, *_PROFILE):
+            self._registers.set(name, self._registers.default(name))
+        for goal in set(GOALS) & self._registers.names - {"goal_position"}:
+            self._registers.set(goal, self._registers.default(goal))
+        self._registers.set("goal_position", self.present_ticks(now))
 
     def _after_frame_change(self, _value: int, now: float) -> None:
         if self.value("operating_mode") == OperatingMode.POSITION:
             self._forget_turns(now)
         self._registers.set("goal_position", self.present_ticks(now))
 
-    def _after_limit(self, _value: int, now: float) -> None:
+    # -- time
+
+    def _advance(self, now: float) -> None:
+        """Let happen what happens by itself until now."""
+        self._check_watchdog(now)
+        released = self._shaft.released(now)
+        if released is not None and not self._shaft.running(now):
+            self._live(released)
+            self._set_out(released)
+        self._live(now)
         self._check_hardware(now)
 
-    # -- supervision
+    def _live(self, now: float) -> None:
+        """Grow warm or cool: until the motion's end as it moves, and from there as it holds."""
+        for end in (min(now, self._shaft.end), now):
+            if end > self._body.lived_until:
+                self._body.live(end, abs(self._effort(self._body.lived_until)))
+
+    def _effort(self, now: float) -> float:
+        """Share of the full effort, -1 to 1, positive where it pushes towards larger shaft ticks."""
+        if not self.value("torque_enable"):
+            return 0.0
+        pressed = self._body.pressed(now)
+        if self._shaft.running(now):
+            return math.copysign(min(self._body.friction + pressed, 1.0), self._shaft.at(now)[1])
+        error = 0.0
+        if self.value("operating_mode") in POSITION_MODES:
+            error = self._to_shaft(self.value("goal_position")) - self._shaft.at(now)[0]
+        output = error * self.value("position_p_gain") / _GAIN_UNIT / _FULL_PWM
+        return max(min(output + math.copysign(pressed, output), 1.0), -1.0)
 
     def _check_watchdog(self, now: float) -> None:
         """Stop where the shaft was when the bus had been silent for too long."""
         limit = self.value("bus_watchdog")
         expiry = self._heard + limit * WATCHDOG_UNIT_S
         if limit > 0 and self.value("torque_enable") and now > expiry:
-            self._halt(expiry)
-            self._registers.set("bus_watchdog", BUS_WATCHDOG_TRIPPED)
+            self.trip_watchdog(expiry)
 
     def _check_hardware(self, now: float) -> None:
-        errors = HardwareError(0)
-        if not self.value("min_voltage_limit") <= SUPPLY_DV <= self.value("max_voltage_limit"):
+        errors, effort = HardwareError(0), abs(self._effort(now))
+        voltage_dv = nearest(10.0 * self._body.voltage_v(now, effort))
+        if not self.value("min_voltage_limit") <= voltage_dv <= self.value("max_voltage_limit"):
             errors |= HardwareError.INPUT_VOLTAGE
-        if self.value("temperature_limit") < self._temperature_deg_c:
+        if self.value("temperature_limit") < int(self._body.temperature_deg_c):
             errors |= HardwareError.OVERHEATING
-        if errors:
+        if effort < 1.0:
+            self._saturated_since = None
+        elif self._saturated_since is None:
+            self._saturated_since = now
+        elif now - self._saturated_since >= OVERLOAD_S:
+            errors |= HardwareError.OVERLOAD
+        if errors & ~self.value("hardware_error_status"):
             self.fail(errors, now)
-
-    # -- what it refuses
-
-    def _refusal(self, register: Register, value: int) -> StatusError:
-        """Why a register does not take a value; NONE if it does."""
-        name = register.name
-        if not register.writable or (register.area is Area.EEPROM and self.value("torque_enable")):
-            return StatusError.ACCESS
-        if name in _GOALS and self.value("bus_watchdog") == BUS_WATCHDOG_TRIPPED:
-            return StatusError.DATA_RANGE
-        if not register.minimum <= value <= register.maximum or self._is_undefined(name, value):
-            return StatusError.DATA_RANGE
-        if self._exceeds_limit(name, value):
-            return StatusError.DATA_LIMIT
-        if (name == "torque_enable" and value and self._shut_down) or (
-            name == "protocol_type" and value != 2
-        ):
-            return StatusError.RESULT_FAIL
-        return StatusError.NONE
-
-    def _is_undefined(self, name: str, value: int) -> bool:
-        """Tell whether a value lies in the register's range but means nothing."""
-        match name:
-            case "operating_mode":
-                return value not in set(OperatingMode)
-            case "drive_mode":
-                return bool(value & 0x02)
-            case "secondary_id":
-                return value in {0xFD, 0xFE}
-            case "bus_watchdog":
-                return value < 0
-            case _:
-                return False
-
-    def _exceeds_limit(self, name: str, value: int) -> bool:
-        """Tell whether a goal lies beyond the register that limits it."""
-        if name == "goal_position" and self.value("operating_mode") == OperatingMode.POSITION:
-            return not self.value("min_position_limit") <= value <= self.value("max_position_limit")
-        return name in _LIMITED_BY and abs(value) > self.value(_LIMITED_BY[name])
-
-    # -- measurement
 
     def _measure(self, now: float) -> None:
         """Bring the registers that the servo measures up to date."""
-        self._check_watchdog(now)
-        shaft, shaft_velocity = self._shaft(now)
-        velocity = _nearest(self._direction * shaft_velocity / self._profile.velocity_unit)
-        position, running = _nearest(self._reported(shaft)), self._running(now)
-        status = int(self._motion.kind) | (MOVING_PROFILE_ONGOING if running else 0)
-        if self.value("operating_mode") in _POSITION_MODES and position == self.value("goal_position"):
-            status |= 0 if running else MOVING_IN_POSITION
-        # A light arm on a strong motor: friction while it turns, nothing while it stands.
-        effort = 8 * (velocity > 0) - 8 * (velocity < 0)
-        for name, value in (
-            ("realtime_tick", int((now - self._power_up) * 1000.0) % 32_768),
-            ("moving", int(running or abs(velocity) > self.value("moving_threshold"))),
-            ("moving_status", status),
-            ("present_pwm", effort),
-            ("present_current", effort),
-            ("present_velocity", velocity),
-            ("present_position", position),
-            ("velocity_trajectory", velocity),
-            ("position_trajectory", position),
-            ("present_input_voltage", SUPPLY_DV),
-            ("present_temperature", self._temperature_deg_c),
-            ("backup_ready", 0),
-        ):
-            self._registers.set(name, value)
+        self._advance(now)
+        shaft, velocity = self._shaft.at(now)
+        effort = self._effort(now)
+        self._report.motion(
+            position=nearest(self._reported(shaft)),
+            velocity=self._direction * velocity,
+            running=self._shaft.running(now),
+            kind=self._shaft.kind,
+        )
+        self._report.body(
+            effort=self._direction * effort,
+            volts=self._body.voltage_v(now, abs(effort)),
+            temperature_deg_c=self._body.temperature_deg_c,
+            uptime_s=now - self._power_up,
+        )
