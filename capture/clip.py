@@ -159,6 +159,8 @@ class Ramp:
         start, end, clipped = (black_dn + part * span for part in (RAMP_START, RAMP_END, CLIPPED))
         self.lowest_start = float(start.min())
         """No sample below this level is near its clip level."""
+        self.highest_end = float(end.max())
+        """No sample from this level on has any weight."""
         self._end = self._tile(end, shape).astype(dtype)
         self._slope = self._tile(1.0 / (end - start), shape).astype(dtype)
         self._clipped = self._tile(clipped, shape).astype(dtype)
@@ -167,9 +169,11 @@ class Ramp:
     def _tile(cell: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
         return cell[:1, :1] if np.all(cell == cell[0, 0]) else tile(cell, shape)
 
-    def weights(self, counts: NDArray[np.floating]) -> NDArray[np.floating]:
+    def weights(
+        self, counts: NDArray[np.floating], out: NDArray[np.floating] | None = None
+    ) -> NDArray[np.floating]:
         """Weight of each sample of a block: 1 well below the clip level, 0 near it."""
-        weights = self._cut(self._end, counts) - counts
+        weights = np.subtract(self._cut(self._end, counts), counts, out=out)
         weights *= self._cut(self._slope, counts)
         return np.clip(weights, 0.0, 1.0, out=weights)
 

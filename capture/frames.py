@@ -16,6 +16,8 @@ from rig.errors import BadInput
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from capture.mosaic import Mosaic
+
 FrameLike = RawFrame | PathLike | np.ndarray
 """One frame: read already, a file, or a 2-D array of counts."""
 
@@ -68,13 +70,19 @@ class Stack:
         limit = min(self.exposure_s) * (1.0 + 1e-9)
         return tuple(index for index, seconds in enumerate(self.exposure_s) if seconds <= limit)
 
+    def band_rows(self, least: int) -> int:
+        """Rows to read at once, even and at least so many: whole segments of files that are compressed."""
+        deep = max((getattr(frame, "band_rows", 1) for frame in self.counts), default=1)
+        pair = math.lcm(deep, 2)
+        return max(1, -(-least // pair)) * pair
+
     def thinned(self, step: int) -> Stack:
         """Return the same stack with only every `step`-th band of rows; see `thin`."""
         return replace(self, counts=tuple(thin(frame, step) for frame in self.counts))
 
 
-BAND_ROWS = 16
-"""Rows of a band, the unit by which a large mosaic is sampled."""
+BAND_ROWS, BAND_COLS = 16, 128
+"""Size of the pieces by which a large mosaic is sampled."""
 
 
 def thinning(shape: tuple[int, int], pixels: int) -> int:
@@ -82,16 +90,24 @@ def thinning(shape: tuple[int, int], pixels: int) -> int:
     return max(1, round(shape[0] * shape[1] / pixels))
 
 
-def thin(frame: NDArray[Any], step: int) -> NDArray[Any]:
-    """Keep every `step`-th band of `BAND_ROWS` rows of a mosaic, so that 2 x 2 cells stay whole.
+def thin(frame: Mosaic, step: int) -> NDArray[Any]:
+    """Keep one in `step` of the pieces of a mosaic, so that 2 x 2 cells stay whole.
 
     A (1, 1) array, which stands for a constant mosaic, stays as it is.
     """
     rows, cols = frame.shape
-    bands = rows // BAND_ROWS
-    if step == 1 or bands < 2:
-        return frame
-    return frame[: bands * BAND_ROWS].reshape(bands, BAND_ROWS, cols)[::step].reshape(-1, cols)
+    down, across = rows // BAND_ROWS, cols // BAND_COLS
+    if step == 1 or down < 2:
+        return frame[:]
+    wide = 1 if across < 2 else min(across, max(1, round(math.sqrt(step * across / down))))
+    deep = min(down, max(1, round(step / wide)))
+    bands = [frame[top * BAND_ROWS : (top + 1) * BAND_ROWS] for top in range(deep // 2, down, deep)]
+    if wide > 1:
+        bands = [
+            band[:, : across * BAND_COLS].reshape(BAND_ROWS, across, BAND_COLS)[:, wide // 2 :: wide]
+            for band in bands
+        ]
+    return np.concatenate([band.reshape(BAND_ROWS, -1) for band in bands])
 
 
 def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | None = None) -> Stack:
@@ -242,10 +258,9 @@ def any_in_cell(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         padded = np.zeros((rows + rows % 2, cols + cols % 2), dtype=bool)
         padded[:rows, :cols] = mask
         return any_in_cell(padded)[:rows, :cols]
-    out = np.empty_like(mask)
-    pairs = mask[0::2] | mask[1::2]
-    cells = pairs[:, 0::2] | pairs[:, 1::2]
-    for row in (0, 1):
-        for col in (0, 1):
-            out[row::2, col::2] = cells
+    # Two neighbouring bytes are one number of sixteen bits: the same few operations for all of a row.
+    cells = (mask[0::2] | mask[1::2]).view(np.uint16)
+    cells |= (cells << np.uint16(8)) | (cells >> np.uint16(8))
+    out = np.empty_like(mask, order="C")
+    out[0::2] = out[1::2] = cells.view(bool)
     return out

@@ -12,25 +12,27 @@ Poisson estimate stands. w_i falls softly from 1 to 0 towards the clip level, an
 sample of the same 2 x 2 cell. The variance is that of the weights applied; it holds noise only, no
 calibration error. Negative values stay.
 
-The frames are worked through in blocks of rows that fit the processor's cache, on two threads, in float64
-up to `WIDE_PIXELS` pixels and in float32 above, where rounding (1e-6) is far below any noise. The result
-does not depend on the blocks or the threads.
+The frames are worked through in blocks that fit the processor's cache (`capture.block`), on two threads, in
+float64 up to `WIDE_PIXELS` pixels and in float32 above, where rounding (1e-6) is far below any noise. The
+result does not depend on the blocks or the threads. Large files are read by bands of rows, so that more
+frames need no more memory.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from capture.block import SUSPECT_ERROR, BlockMerger, Outputs, Rules
 from capture.clip import Ramp, clip_levels
 from capture.dark import Dark, Subtrahend, black_cell, subtrahend
-from capture.estimate import Sample, estimate
+from capture.flags import Flag
 from capture.frames import Frames, Stack, any_in_cell, as_stack, thin, thinning
 from capture.noise import Noise, measured_noise
 
@@ -44,33 +46,18 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("gonio.capture.merge")
 
 WIDE_PIXELS = 4_000_000
-_BLOCK_PIXELS = 1 << 15
-_SAMPLE_PIXELS = 150_000
+_BLOCK_PIXELS = 1 << 14
+_BLOCK_COLS = 512
+_SAMPLE_PIXELS = 60_000
 _ITERATIONS = 2
-
-SUSPECT_ERROR = 0.02
-"""How much too low a sample beside a clipped one reads (blooming, crosstalk): 1.2 to 2.8 % on one CCD."""
+THREADS = 2
+"""Threads that merge large frames; more find no work while memory is waited for."""
 
 _INCONSISTENT_P = 1e-6
 
+__all__ = ["POISSON_NOTE", "SUSPECT_ERROR", "Flag", "MergeReport", "Merged", "merge", "merge_stack"]
+
 POISSON_NOTE = "no noise model of the sensor: merged with Poisson weights"
-
-
-class Flag(IntFlag):
-    """What to know about a merged pixel, one bit each."""
-
-    OVER_RANGE = 1
-    """Clipped in every frame: the value, from the shortest exposure, is a lower bound."""
-    UNDER_RANGE = 2
-    """The value is less than its standard deviation."""
-    HOT = 4
-    """A hot pixel of the darks; its dark level is subtracted, its noise is its own."""
-    NEIGHBOUR_CLIPPED = 8
-    """In at least one frame another pixel of the 2 x 2 cell was clipped: that frame was left out here."""
-    INCONSISTENT = 16
-    """The frames disagree by more than their noise: something moved, flickered, or is not linear."""
-    NEAR_CLIPPED_USED = 32
-    """Such frames had to be used, the rest told less than `SUSPECT_ERROR`: the value may be low by it."""
 
 
 class _Merged(NamedTuple):
@@ -110,10 +97,14 @@ class MergeReport:
 class Merged(_Merged):
     """Radiance in DN/s, variance in (DN/s)^2 and `Flag` bits, each of shape (H, W).
 
-    It unpacks to these three; `report` says how the merge was done.
+    It unpacks to these three; `report` says how the merge was done. Where it was asked for, `chi_square`
+    holds the weighted sum of squared residuals over their variances, and `samples` how many of them had any
+    weight, each of shape (H, W); else they are None.
     """
 
     report: MergeReport
+    chi_square: NDArray[np.floating] | None
+    samples: NDArray[np.uint16] | None
 
 
 def merge(
@@ -122,6 +113,8 @@ def merge(
     *,
     dark: Dark = None,
     sensor: SensorModel | None = None,
+    chi_square: bool = False,
+    out: Merged | None = None,
 ) -> Merged:
     """Merge frames of different exposure into one radiance mosaic.
 
@@ -139,6 +132,11 @@ def merge(
     sensor : SensorModel, optional
         Gain, read noise and clip levels. Without it the weights are Poisson's, the gain is measured from the
         scatter of the frames (1 DN per electron where it cannot be), and the clip levels from the frames.
+    chi_square : bool
+        Whether to return the map of how well the frames agree.
+    out : Merged, optional
+        An earlier result for frames of this size that is no longer needed: its arrays are written over, which
+        saves a third of the time of large frames, for memory is slow to get.
 
     Returns
     -------
@@ -151,11 +149,19 @@ def merge(
         Frames, exposure times or darks that cannot be used; see `as_stack` and `subtrahend`.
     """
     stack = as_stack(frames, exposure_s)
-    return merge_stack(stack, subtrahend(dark, stack, sensor), sensor)
+    levels = subtrahend(dark, stack, sensor)
+    return merge_stack(stack, levels, sensor, chi_square=chi_square, reuse=out)
 
 
-def merge_stack(stack: Stack, dark: Subtrahend, sensor: SensorModel | None = None) -> Merged:
-    """Merge checked frames with the darks that belong to them; see `merge`."""
+def merge_stack(
+    stack: Stack,
+    dark: Subtrahend,
+    sensor: SensorModel | None = None,
+    *,
+    chi_square: bool = False,
+    reuse: Merged | None = None,
+) -> Merged:
+    """Merge checked frames with the darks that belong to them; see `merge`, whose `out` is `reuse`."""
     step = thinning(stack.shape, _SAMPLE_PIXELS)
     clip = clip_levels(stack.thinned(step), black_cell(dark), sensor)
     if sensor is not None:
@@ -163,9 +169,19 @@ def merge_stack(stack: Stack, dark: Subtrahend, sensor: SensorModel | None = Non
     else:
         noise = _noise_of_frames(stack, dark, clip, step)
         _LOG.info(POISSON_NOTE)
-    job = _Job.prepare(stack, dark, clip, noise, iterations=_ITERATIONS if sensor is not None else 0)
-    job.run()
-    merged = Merged(job.radiance, job.variance, job.flags)
+    rules = Rules(
+        exposure_s=stack.exposure_s,
+        floor_dn2=tuple(noise.floor_dn2 + variance for variance in dark.variance_dn2),
+        gain_dn_per_e=noise.gain_dn_per_e,
+        common_dn2=dark.common_dn2,
+        shortest=stack.shortest,
+        iterations=_ITERATIONS if sensor is not None else 0,
+        limits=_chi_square_limits(len(stack.counts)),
+    )
+    out = _outputs(stack.shape, reuse, chi_square=chi_square)
+    _merge_blocks(stack, dark, clip, rules, out)
+    merged = Merged(out.radiance, out.variance, out.flags)
+    merged.chi_square, merged.samples = out.chi_square, out.samples
     merged.report = MergeReport(
         estimator="poisson" if sensor is None else "maximum likelihood",
         note=POISSON_NOTE if sensor is None else "",
@@ -193,145 +209,69 @@ def _noise_of_frames(stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], 
     return found or Noise(1.0, least, "assumed")
 
 
-@dataclass
-class _Job:
-    """One merge: inputs, outputs, and what is the same for all blocks."""
+def _outputs(shape: tuple[int, int], reuse: Merged | None, *, chi_square: bool) -> Outputs:
+    """Arrays for the results: those of an earlier merge where they fit."""
+    dtype: np.dtype[np.floating] = np.dtype(np.float64 if math.prod(shape) <= WIDE_PIXELS else np.float32)
+    maps = (
+        np.empty(shape, dtype) if chi_square else None,
+        np.empty(shape, np.uint16) if chi_square else None,
+    )
+    if reuse is None or reuse.radiance.shape != shape or reuse.radiance.dtype != dtype:
+        return Outputs(np.empty(shape, dtype), np.empty(shape, dtype), np.zeros(shape, np.uint8), *maps)
+    reuse.flags[:] = 0
+    return Outputs(reuse.radiance, reuse.variance, reuse.flags, *maps)
 
-    stack: Stack
-    dark: Subtrahend
-    ramp: Ramp
-    noise: Noise
-    iterations: int
-    limits: NDArray[np.float64]
-    rows_per_block: int
-    radiance: NDArray[np.floating]
-    variance: NDArray[np.floating]
-    flags: NDArray[np.uint8]
 
-    @classmethod
-    def prepare(
-        cls, stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], noise: Noise, *, iterations: int
-    ) -> _Job:
-        """Allocate the outputs and fix the block size."""
-        rows, cols = stack.shape
-        wide = rows * cols <= WIDE_PIXELS
-        dtype: np.dtype[np.floating] = np.dtype(np.float64) if wide else np.dtype(np.float32)
-        per_block = min(rows + rows % 2, max(2, _BLOCK_PIXELS // cols // 2 * 2))
-        return cls(
-            stack=stack,
-            dark=dark,
-            ramp=Ramp(clip, black_cell(dark), (per_block, cols), dtype),
-            noise=noise,
-            iterations=iterations,
-            limits=_chi_square_limits(len(stack.counts)),
-            rows_per_block=per_block,
-            radiance=np.empty(stack.shape, dtype),
-            variance=np.empty(stack.shape, dtype),
-            flags=np.zeros(stack.shape, np.uint8),
-        )
+def _merge_blocks(
+    stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], rules: Rules, out: Outputs
+) -> None:
+    """Merge all blocks, on two threads where there is more than one band of them."""
+    rows, cols = stack.shape
+    dtype = out.radiance.dtype
+    wide = min(cols, _BLOCK_COLS)
+    block = (min(rows, max(2, _BLOCK_PIXELS // wide // 2 * 2)), wide)
+    ramp = Ramp(clip, black_cell(dark), block, dtype)
+    deep = stack.band_rows(block[0])
+    bands = [slice(start, min(start + deep, rows)) for start in range(0, rows, deep)]
+    workers = min(len(bands), os.cpu_count() or 1, THREADS)
 
-    def run(self) -> None:
-        """Merge all blocks, on two threads where there is more than one block."""
-        starts = range(0, self.stack.shape[0], self.rows_per_block)
-        blocks = [slice(start, min(start + self.rows_per_block, self.stack.shape[0])) for start in starts]
-        workers = min(len(blocks), os.cpu_count() or 1, 2)
-        if workers == 1:
-            for block in blocks:
-                self._merge_block(block)
-            return
+    def work(part: list[slice]) -> None:
+        merger = BlockMerger(rules, ramp, block, dtype)
+        for band in part:
+            _merge_band(merger, block, band, stack, dark, out)
+
+    if workers == 1:
+        work(bands)
+    else:
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(self._merge_block, blocks))
-
-    def _merge_block(self, rows: slice) -> None:
-        flags = self.flags[rows]
-        samples, number = self._samples(rows, flags)
-        rate = _part(self.dark.rate_dn_per_s, rows).astype(self.radiance.dtype, copy=False)
-        found = estimate(
-            samples, self.noise.gain_dn_per_e, rate, self.dark.common_dn2, iterations=self.iterations
-        )
-        self.radiance[rows], self.variance[rows] = found.radiance, found.variance
-        under = found.radiance < np.sqrt(found.variance)
-        under &= (flags & np.uint8(Flag.OVER_RANGE)) == 0
-        _set(flags, under, Flag.UNDER_RANGE)
-        self._flag_inconsistent(found.chi_square, number, flags)
-        if self.dark.hot is not None:
-            _set(flags, self.dark.hot[rows], Flag.HOT)
-
-    def _flag_inconsistent(
-        self, chi_square: NDArray[np.floating], number: NDArray[np.uint16] | int, flags: NDArray[np.uint8]
-    ) -> None:
-        # Few pixels pass the limit of two samples, the lowest: only these are looked up by their number.
-        rows, cols = np.nonzero(chi_square > self.limits[2:].min(initial=np.inf))
-        if rows.size:
-            numbers = number if isinstance(number, int) else number[rows, cols]
-            beyond = chi_square[rows, cols] > self.limits[numbers]
-            flags[rows[beyond], cols[beyond]] |= np.uint8(Flag.INCONSISTENT)
-
-    def _samples(
-        self, rows: slice, flags: NDArray[np.uint8]
-    ) -> tuple[list[Sample], NDArray[np.uint16] | int]:
-        """Return the samples of a block that have any weight, and how many count at each pixel."""
-        dtype = self.radiance.dtype
-        samples, whole = [], 0
-        for index, frame in enumerate(self.stack.counts):
-            counts = frame[rows]
-            level = counts.astype(dtype)
-            weight = None
-            if counts.max() >= self.ramp.lowest_start:
-                weight = self.ramp.weights(level)
-                if weight.any():
-                    self._reject_neighbours(level, weight, flags)
-            whole += weight is None
-            level -= _part(self.dark.level_dn[index], rows).astype(dtype, copy=False)
-            floor = self.noise.floor_dn2 + self.dark.variance_dn2[index]
-            samples.append(Sample(level, weight, self.stack.exposure_s[index], floor))
-        if all(sample.weight is None for sample in samples):
-            return samples, whole
-        if (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)).any():
-            self._readmit(rows, samples, flags)
-        number = np.full(flags.shape, whole, dtype=np.uint16)
-        for sample in samples:
-            if sample.weight is not None:
-                number += sample.weight > 0.0
-        lost = number == 0
-        if lost.any():
-            _set(flags, lost, Flag.OVER_RANGE)
-            for index in self.stack.shortest:
-                weight = samples[index].weight
-                if weight is not None:
-                    weight[lost] = 1.0
-        return [sample for sample in samples if sample.weight is None or sample.weight.any()], number
-
-    def _reject_neighbours(
-        self, level: NDArray[np.floating], weight: NDArray[np.floating], flags: NDArray[np.uint8]
-    ) -> None:
-        clipped = self.ramp.clipped(level)
-        if clipped.any():
-            near = any_in_cell(clipped)
-            _set(flags, near & (weight > 0.0), Flag.NEIGHBOUR_CLIPPED)
-            np.putmask(weight, near, 0.0)
-
-    def _readmit(self, rows: slice, samples: list[Sample], flags: NDArray[np.uint8]) -> None:
-        """Take samples beside clipped ones back where the others alone tell less than these may be wrong."""
-        signal = sum((sample.weighted(sample.signal_dn) for sample in samples), np.zeros(flags.shape))
-        floor = sum(
-            (sample.weighted(np.full(flags.shape, sample.floor_dn2)) for sample in samples), np.zeros(())
-        )
-        variance = self.noise.gain_dn_per_e * np.maximum(signal, 0.0) + floor
-        poor = np.maximum(signal, 0.0) ** 2 * SUSPECT_ERROR**2 <= variance
-        poor &= (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)) != 0
-        if not poor.any():
-            return
-        _set(flags, poor, Flag.NEAR_CLIPPED_USED)
-        for frame, sample in zip(self.stack.counts, samples, strict=True):
-            if sample.weight is not None:
-                own = self.ramp.weights(frame[rows].astype(self.radiance.dtype))
-                sample.weight[poor] = own[poor]
+            list(pool.map(work, [bands[worker::workers] for worker in range(workers)]))
 
 
-def _set(flags: NDArray[np.uint8], where: NDArray[np.bool_], flag: Flag) -> None:
-    """Set a bit; a multiplication is much quicker than indexing by a mask."""
-    flags |= where.view(np.uint8) * np.uint8(flag)
+def _merge_band(
+    merger: BlockMerger, block: tuple[int, int], band: slice, stack: Stack, dark: Subtrahend, out: Outputs
+) -> None:
+    """Merge the blocks of a band of rows, which begins at an even row."""
+    frames = [frame[band] for frame in stack.counts]
+    dtype = out.radiance.dtype
+    levels = [_part(level, band).astype(dtype, copy=False) for level in dark.level_dn]
+    rate = _part(dark.rate_dn_per_s, band).astype(dtype, copy=False)
+    whole = Outputs(*(None if values is None else values[band] for values in out))
+    height, width = whole.radiance.shape
+    for top in range(0, height, block[0]):
+        for left in range(0, width, block[1]):
+            place = (slice(top, top + block[0]), slice(left, left + block[1]))
+            merger.merge(
+                [frame[place] for frame in frames],
+                [_block_of(level, place) for level in levels],
+                _block_of(rate, place),
+                Outputs(*(None if values is None else values[place] for values in whole)),
+            )
+    if dark.hot is not None:
+        whole.flags[:] |= dark.hot[band].view(np.uint8) * np.uint8(Flag.HOT)
+
+
+def _block_of(values: NDArray[Any], place: tuple[slice, slice]) -> NDArray[Any]:
+    return values if values.size == 1 else values[place]
 
 
 def _part(values: NDArray[Any], rows: slice) -> NDArray[Any]:

@@ -104,24 +104,26 @@ def _rows(
     for frame, mask in enumerate(use):
         if np.count_nonzero(mask) < _PER_LEVEL:
             continue
-        levels = level[frame][mask]
-        edges = np.unique(np.quantile(levels, np.linspace(0.0, 1.0, _LEVELS + 1)))
-        bins = np.searchsorted(edges[1:-1], levels, side="right")
-        for index in range(len(edges) - 1):
-            chosen = bins == index
-            if np.count_nonzero(chosen) < _PER_LEVEL:
+        columns = np.stack([values[frame][mask] for values in (level, residual, shot, floor)])
+        columns = columns[:, np.argsort(columns[0], kind="stable")]
+        # Equal levels belong together: a part begins where the level changes.
+        edges = columns[0][(np.arange(1, _LEVELS) * columns.shape[1]) // _LEVELS]
+        starts = np.unique(np.concatenate([[0], np.searchsorted(columns[0], edges)]))
+        for _level, found, of_shot, of_floor in np.split(columns, starts[1:], axis=1):
+            size = len(found)
+            if size < _PER_LEVEL:
                 continue
-            squares = (residual[frame][mask][chosen] - np.median(residual[frame][mask][chosen])) ** 2
-            # Pixels that moved or burn hot are no noise: leave out what lies beyond five standard deviations.
+            squares = (found - np.median(found)) ** 2
+            # Pixels that moved or burn hot are no noise: leave out what is beyond five standard deviations.
             for _ in range(3):
                 squares = squares[squares <= 25.0 * squares.mean()]
-            size = len(squares)
+            kept = len(squares)
             rows.append(
                 (
-                    float(squares.mean()) * size / (size - 1),
-                    float(shot[frame][mask][chosen].mean()),
-                    float(floor[frame][mask][chosen].mean()),
-                    float(size),
+                    float(squares.mean()) * kept / (kept - 1),
+                    float(of_shot.mean()),
+                    float(of_floor.mean()),
+                    float(kept),
                 )
             )
     return rows
