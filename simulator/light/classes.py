@@ -2,8 +2,8 @@
 
 A path is a walk from the lamp over the scene's surfaces to the sample, where the camera looks: what the
 camera sees beside the sample is not asked for. A flat surface never lights itself, so neither the sample nor
-a mirror follows itself; a wall of the housing can follow another one. Short walks that are spelt alike make a
-class of their own; all longer ones together are the last.
+a planar mirror follows itself; a hollow mirror can, and a wall of the housing can follow another one. Short
+walks that are spelt alike make a class of their own; all longer ones together are the last.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulator.light.paths import LightPaths
-from simulator.light.scene import Event
+from simulator.light.scene import Event, PlanarMirror, SphericalMirror
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from simulator.light.scene import PlanarMirror, Scene
+    from simulator.light.scene import Mirror, Scene
 
 Node = str | int
 """A surface: the sample, the housing, or the number of a mirror."""
@@ -141,7 +141,8 @@ def _can_follow(scene: Scene, node: Node, other: Node) -> bool:
     if HOUSING in (node, other):
         return True
     if node == other:
-        return False
+        mirror = scene.mirrors[node] if isinstance(node, int) else None
+        return isinstance(mirror, SphericalMirror) and mirror.hollow
     if isinstance(node, int) and isinstance(other, int):
         first, second = scene.mirrors[node], scene.mirrors[other]
         return _before(first, second) and _before(second, first)
@@ -149,15 +150,22 @@ def _can_follow(scene: Scene, node: Node, other: Node) -> bool:
     return mirror_faces_sample(scene, mirror)
 
 
-def mirror_faces_sample(scene: Scene, mirror: PlanarMirror) -> bool:
-    """Tell whether some point of the sample is before the mirror, and some of the mirror above the sample."""
+def mirror_faces_sample(scene: Scene, mirror: Mirror) -> bool:
+    """Tell whether some point of the sample is before the mirror, and some of the mirror above the sample.
+
+    Of a curved mirror no more is told than that it may.
+    """
+    if isinstance(mirror, SphericalMirror):
+        return True
     reach_mm = scene.sample_radius_mm * float(np.hypot(*mirror.normal[:2]))
     sample_before = reach_mm - float(np.asarray(mirror.centre_mm) @ mirror.normal) > 0.0
     return sample_before and bool(mirror.corners_mm[:, 2].max() > 0.0)
 
 
-def _before(mirror: PlanarMirror, other: PlanarMirror) -> bool:
-    """Tell whether some corner of the other mirror is before a mirror."""
+def _before(mirror: Mirror, other: Mirror) -> bool:
+    """Tell whether some corner of the other mirror is before a mirror, or it is not known."""
+    if not (isinstance(mirror, PlanarMirror) and isinstance(other, PlanarMirror)):
+        return True
     return bool(np.any((other.corners_mm - np.asarray(mirror.centre_mm)) @ mirror.normal > 0.0))
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from simulator.light.direct import DirectFloat64, DirectMitsuba
 from simulator.light.path_tracer import PathTracing
+from simulator.light.photon_map import PhotonMapMethod
 from simulator.light.pixel_centres import PixelCentres
 from simulator.light.pixelwise import ClosedForm, PixelByPixel
 from simulator.light.radiosity import RadiosityMethod
@@ -23,6 +24,7 @@ METHODS: tuple[Method, ...] = (
     DirectFloat64(),
     SurfaceMethod(),
     VirtualLightsMethod(),
+    PhotonMapMethod(),
     RadiosityMethod(),
     PathTracing(),
 )

@@ -17,7 +17,8 @@ from analysis.models.base import Kind
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
 from simulator.bsdfs import MOUNTINGS, PLACED
-from simulator.light.scene import Event
+from simulator.light.mitsuba_meshes import spherical_mirror, tube
+from simulator.light.scene import Event, SphericalMirror
 from simulator.materials import ClosedFormMaterial, MitsubaMaterial, load_bsdf
 from simulator.mounting import Form
 
@@ -25,12 +26,8 @@ if TYPE_CHECKING:
     from rig.description import Rig
     from simulator.light.scene import PlanarMirror, Scene
     from simulator.materials import Material
-    from simulator.mounting import Mounting
 
 Array = NDArray[np.float64]
-
-FACETS = 2048
-"""Of a cylinder: it lies within 1.2e-6 of its radius."""
 
 
 def sample_events(mi: Any, material: Material) -> frozenset[Event]:
@@ -147,12 +144,25 @@ def planar_mirror(mi: Any, mirror: PlanarMirror) -> dict[str, Any]:
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = mirror.across_mm, mirror.up_mm, mirror.normal
     matrix[:3, 3] = mirror.centre_mm
-    reflectance = {"type": "rgb", "value": mirror.reflectance}
     return {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f(matrix.tolist()),
-        "bsdf": {"type": "conductor", "material": "none", "specular_reflectance": reflectance},
+        "bsdf": _ideal_mirror(mirror.reflectance),
     }
+
+
+def _ideal_mirror(reflectance: float) -> dict[str, Any]:
+    value = {"type": "rgb", "value": reflectance}
+    return {"type": "conductor", "material": "none", "specular_reflectance": value}
+
+
+def mirror(mi: Any, number: int, scene: Scene) -> Any:
+    """Return one of a scene's mirrors, or its description."""
+    shape = scene.mirrors[number]
+    if isinstance(shape, SphericalMirror):
+        bsdf = mi.load_dict(_ideal_mirror(shape.reflectance))
+        return spherical_mirror(mi, f"mirror{number}", shape, bsdf)
+    return planar_mirror(mi, shape)
 
 
 def sample(mi: Any, scene: Scene) -> Any:
@@ -172,7 +182,7 @@ def sample(mi: Any, scene: Scene) -> Any:
     mounting, radius_mm = scene.material.mounting, scene.sample_radius_mm
     bsdf = _on_it(mi, scene)
     if mounting.form is Form.CYLINDER:
-        return _tube(mi, mounting, radius_mm, bsdf)
+        return tube(mi, mounting, radius_mm, bsdf)
     placed = mounting.to_scene
     shape = np.eye(4)
     if mounting.form is Form.SPHERE:
@@ -186,37 +196,6 @@ def sample(mi: Any, scene: Scene) -> Any:
         "to_world": mi.ScalarTransform4f((placed @ shape).tolist()),
         "bsdf": bsdf,
     }
-
-
-def _tube(mi: Any, mounting: Mounting, radius_mm: float, bsdf: Any) -> Any:
-    """Return a cylinder of facets so narrow that they err by less than single precision.
-
-    Mitsuba's own, vectorised, meets rays 1e-3 mm beside itself, and shadows itself by a tenth.
-    """
-    turn = np.linspace(0.0, 2.0 * math.pi, FACETS, endpoint=False)
-    axis = np.array([math.cos(mounting.axis_rad), math.sin(mounting.axis_rad), 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    outwards = np.outer(np.cos(turn), up) + np.outer(np.sin(turn), np.cross(up, axis))
-    ring = mounting.radius_mm * (outwards - up)
-    corners = np.concatenate([ring - radius_mm * axis, ring + radius_mm * axis])
-    corners = corners @ mounting.rotation.T + [0.0, 0.0, mounting.height_mm]
-    first = np.arange(FACETS)
-    following = np.roll(first, -1)
-    faces = np.concatenate(
-        [
-            np.stack([first, first + FACETS, following], axis=-1),
-            np.stack([following, first + FACETS, following + FACETS], axis=-1),
-        ]
-    )
-    properties = mi.Properties()
-    properties["bsdf"] = bsdf
-    mesh = mi.Mesh("sample", len(corners), len(faces), properties)
-    parameters = mi.traverse(mesh)
-    for name, numbers in (("vertex_positions", corners), ("faces", faces)):
-        kind = type(parameters[name])
-        parameters[name] = kind(numbers.ravel().tolist())
-    parameters.update()
-    return mesh
 
 
 def _on_it(mi: Any, scene: Scene) -> Any:

@@ -92,8 +92,8 @@ class PathLight(Evaluator):
             description["housing"] = mitsuba_scene.housing(
                 mi, scene.housing.albedo, scene.housing.half_size_mm
             )
-        for number, mirror in enumerate(scene.mirrors):
-            description[f"mirror{number}"] = mitsuba_scene.planar_mirror(mi, mirror)
+        for number in range(len(scene.mirrors)):
+            description[f"mirror{number}"] = mitsuba_scene.mirror(mi, number, scene)
         self._scene = mi.load_dict(description, optimize=False)
         self._parameters = mi.traverse(self._scene)
         self._longest = _integrator(mi, last)

@@ -110,10 +110,119 @@ class PlanarMirror:
         centre, across, up = (np.asarray(v) for v in (self.centre_mm, self.across_mm, self.up_mm))
         return np.asarray(centre + np.array([across + up, up - across, -across - up, across - up]))
 
+    @property
+    def area_mm2(self) -> float:
+        """Area of its bright side."""
+        return 4.0 * float(np.linalg.norm(self.across_mm) * np.linalg.norm(self.up_mm))
+
     def image(self, points_mm: Array) -> Array:
         """Return where points (..., 3) appear in it."""
         height = (points_mm - np.asarray(self.centre_mm)) @ self.normal
         return np.asarray(points_mm - 2.0 * height[..., None] * self.normal)
+
+    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Carry the unit square to it, areas kept.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (N,)
+            Between 0 and 1.
+
+        Returns
+        -------
+        points_mm, normals : ndarray, shape (N, 3)
+        """
+        sides = np.stack([2.0 * u - 1.0, 2.0 * v - 1.0], axis=-1) @ np.array([self.across_mm, self.up_mm])
+        return np.asarray(self.centre_mm) + sides, np.broadcast_to(self.normal, sides.shape)
+
+
+@dataclass(frozen=True)
+class SphericalMirror:
+    """A round part of a sphere that mirrors on one side.
+
+    Parameters
+    ----------
+    vertex_mm : tuple of float
+        Its middle.
+    facing : tuple of float
+        Normal there of the side that mirrors, of any length but zero.
+    radius_mm : float
+        Of the sphere: above 0 for a hollow mirror, whose centre lies before it, below 0 for a ball.
+    rim_mm : float
+        Radius of its rim, up to that of the sphere.
+    reflectance : float
+        Between 0 and 1.
+
+    Raises
+    ------
+    BadInput
+        No direction, no curvature, a rim that its sphere does not have, or a reflectance that no mirror has.
+    """
+
+    vertex_mm: Vector
+    facing: Vector
+    radius_mm: float
+    rim_mm: float
+    reflectance: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.facing) > 0.0:
+            raise BadInput(
+                "a mirror that faces nowhere", where="mirror", todo="give the normal of its middle"
+            )
+        if not (np.isfinite(self.radius_mm) and 0.0 < self.rim_mm <= abs(self.radius_mm)):
+            what = f"a mirror's rim of radius {self.rim_mm:g} mm on a sphere of {self.radius_mm:g} mm"
+            raise BadInput(what, where="mirror", todo="give a rim above 0, up to the radius of the sphere")
+        if not 0.0 < self.reflectance <= 1.0:
+            what = f"a mirror of reflectance {self.reflectance:g}"
+            raise BadInput(what, where="mirror", todo="give one above 0, up to 1")
+
+    @cached_property
+    def normal(self) -> Array:
+        """Unit normal of its middle, shape (3,)."""
+        return unit(np.asarray(self.facing, dtype=np.float64))
+
+    @property
+    def hollow(self) -> bool:
+        """Whether it can show itself to itself."""
+        return self.radius_mm > 0.0
+
+    @property
+    def centre_mm(self) -> Array:
+        """Middle of the sphere, shape (3,)."""
+        return np.asarray(np.asarray(self.vertex_mm) + self.radius_mm * self.normal)
+
+    @property
+    def depth_mm(self) -> float:
+        """Height of the cap."""
+        radius = abs(self.radius_mm)
+        # Not a difference of large numbers.
+        return self.rim_mm**2 / (radius + np.sqrt(radius**2 - self.rim_mm**2))
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of its bright side."""
+        return float(2.0 * np.pi * abs(self.radius_mm) * self.depth_mm)
+
+    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Carry the unit square to it, areas kept; u = 0 is the middle. See `PlanarMirror.at`."""
+        radius = abs(self.radius_mm)
+        depth = u * self.depth_mm
+        across = np.sqrt(depth * (2.0 * radius - depth))
+        turn = 2.0 * np.pi * v
+        first = unit(np.cross(np.eye(3)[np.argmin(np.abs(self.normal))], self.normal))
+        second = np.cross(self.normal, first)
+        ring = (across * np.cos(turn))[:, None] * first + (across * np.sin(turn))[:, None] * second
+        # A hollow mirror's rim comes forward, a ball's falls back.
+        points = np.asarray(self.vertex_mm) + ring + np.sign(self.radius_mm) * depth[:, None] * self.normal
+        return points, self.normals_at(points)
+
+    def normals_at(self, points_mm: Array) -> Array:
+        """Return unit normals (N, 3) of the bright side at points of it, or near it."""
+        return np.asarray(unit((self.centre_mm - points_mm) * np.sign(self.radius_mm)))
+
+
+Mirror = PlanarMirror | SphericalMirror
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +239,7 @@ class Scene:
         What the sample can do to light: empty for black; `mitsuba_scene.sample_events` finds it.
     housing : Housing, optional
         By default the surroundings are black.
-    mirrors : tuple of PlanarMirror
+    mirrors : tuple of PlanarMirror or SphericalMirror
         They do not move with any joint.
     lamp_cosine : bool
         Whether the lamp shines as a flat disc does, with the cosine of the angle from its axis, and not
@@ -141,13 +250,18 @@ class Scene:
     material: Material
     events: frozenset[Event]
     housing: Housing | None = None
-    mirrors: tuple[PlanarMirror, ...] = ()
+    mirrors: tuple[Mirror, ...] = ()
     lamp_cosine: bool = True
 
     @property
     def plain(self) -> bool:
         """Whether the sample is flat, level and alike everywhere."""
         return self.material.mounting == PLAIN
+
+    @property
+    def curved_mirrors(self) -> bool:
+        """Whether some mirror is curved, and so shows no image that stays in its place."""
+        return any(isinstance(mirror, SphericalMirror) for mirror in self.mirrors)
 
     @property
     def rendered(self) -> bool:
