@@ -247,8 +247,7 @@ def _thinned(table: AngleTable) -> tuple[AngleTable, Array]:
         finite &= (table.facts["flags"] == 0).all(axis=1)
     value = np.where(finite, np.mean(np.where(finite[:, None], table.f_r, 0.0), axis=1), np.nan)
     good = np.flatnonzero(value > 0.0)
-    negative = value[value < 0.0]
-    floor = float(np.sqrt(np.mean(np.square(negative)))) if negative.size else 0.0
+    floor = _noise_about_zero(value[finite])
     if len(good) > MOST_SAMPLES:
         good = np.sort(np.random.default_rng(0).choice(good, MOST_SAMPLES, replace=False))
     few = replace(table.rows(good), f_r=value[good][:, None], facts={})
@@ -260,6 +259,17 @@ def _thinned(table: AngleTable) -> tuple[AngleTable, Array]:
         if np.isfinite(u_f_r).all() and (u_f_r > 0.0).all():
             few = replace(few, facts={"u_f_r": u_f_r[:, None]})
     return few, np.asarray(NOISE_FLOOR**2 / variance)
+
+
+def _noise_about_zero(value: Array) -> float:
+    """Return the size of the noise that values near 0 show, 0 where none is negative or exactly 0.
+
+    Where all negative values became 0, as many values lie as little above 0 as lay below it.
+    """
+    below = value[value < 0.0]
+    if not below.size:
+        below = np.sort(value[value > 0.0])[: np.count_nonzero(value == 0.0)]
+    return float(np.sqrt(np.mean(np.square(below)))) if below.size else 0.0
 
 
 def _joined(ranked: Sequence[Ranked], table: AngleTable) -> list[Ranked]:
