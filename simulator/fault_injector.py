@@ -201,6 +201,6 @@ def _befall(servo: Servo, fault: Fault, now: float) -> None:
         case FaultKind.BROWN_OUT:
             servo.reboot(now)
         case FaultKind.LOST_TURN:
-            servo.lose_turn()
+            servo.lose_turn(now)
         case _:
             servo.trip_watchdog(now)

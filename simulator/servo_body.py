@@ -1,8 +1,8 @@
 """What a servo's motor costs it: current, heat, and the voltage that is left, by time alone.
 
-The body is one lump that is warmed by the square of the motor's current and cools towards its rest: each step
-is exact for a constant current, however long it is. The figures are of the usual size for small geared servos;
-their maker publishes none. It warms and cools as many times faster than the clock as the shaft moves.
+The body is one lump that is warmed by the square of the motor's current and cools towards its rest: each
+step is exact for a constant current, however long it is. The figures are of the usual size for small geared
+servos; their maker publishes none. It warms and cools as many times faster than the clock as the shaft moves.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import replace
@@ -79,7 +80,7 @@ def body(servo_bench: Callable[..., Any]) -> Iterator[Callable[..., Body]]:
 
 def freeze(body: Body, servo_id: int) -> None:
     """Block an axis: the servo takes goals but its shaft does not turn."""
-    body.bench.servos[servo_id]._start = lambda *_: None
+    body.bench.servos[servo_id].hinder(0.0, time.monotonic(), math.inf)
 
 
 def mute(body: Body, servo_id: int) -> None:
@@ -380,7 +381,7 @@ def test_the_worst_part_decides_a_report() -> None:
 def test_an_arm_outside_its_limits_is_not_pulled_in(body: Callable[..., Body]) -> None:
     """Catches a start that swings an arm from where a person left it to the nearest limit."""
     one = body()
-    one.bench.servos[1]._motion = replace(one.bench.servos[1]._motion, position=200.0)
+    one.bench.servos[1].carry(200.0, time.monotonic())
     with pytest.raises(Refused, match="outside its limits"):
         one.servos.attach()
     assert one.bench.servos[1].value("torque_enable") == 0

@@ -242,7 +242,7 @@ def test_a_turn_is_lost_where_turns_are_counted() -> None:
     """Catches a servo of one turn that reports a place it cannot report, or a count that cannot be lost."""
     counting = Servo(1, shaft_ticks=2000, eeprom={"operating_mode": OperatingMode.EXTENDED_POSITION})
     for servo, off in ((Servo(2, shaft_ticks=2000), 0), (counting, 4096)):
-        servo.lose_turn()
+        servo.lose_turn(1.0)
         assert servo.present_ticks(1.0) - servo.shaft_ticks(1.0) == off
 
 
