@@ -75,6 +75,17 @@ class Arms:
         self.held = self._pose(self._servos.move(goals, cancelled=self._stopped))
         return self.held
 
+    def goal(self, angles_rad: Sequence[float], station: str | None = None) -> tuple[float, ...]:
+        """Angles that the servos can hold nearest to those asked for; nothing moves.
+
+        Raises
+        ------
+        BadInput, Refused
+            As for `move`.
+        """
+        goals = self._goals(angles_rad, station)
+        return tuple(ticks_to_rad(joint, goals[joint.id]) for joint in self._rig.arm_joints)
+
     def measure(self) -> HeldPose:
         """Where the arms are now, moving or not.
 

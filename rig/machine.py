@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from rig.arms import Arms
@@ -30,8 +31,12 @@ if TYPE_CHECKING:
 
     from rig.arms import HeldPose
     from rig.description import Rig
+    from rig.detour import Detours
 
 T = TypeVar("T")
+
+MOST_LEGS = 50
+"""A detour has a handful of legs; one that is longer goes in circles."""
 
 
 class Machine:
@@ -130,12 +135,37 @@ class Machine:
     def move(self, angles_rad: Sequence[float], station: str | None = None) -> HeldPose:
         """Move, or stop everything and raise: an arm that does not obey ends the run.
 
+        The way is checked before the first byte of a goal: where solids would come nearer than the margin,
+        the arms go round by other poses.
+
         Raises
         ------
+        Refused
+            Also if there is no way round; nothing has moved then.
         As `Arms.move`; after `Unsafe` and `DeviceLost` the machine is stopped.
         """
         self._require_running()
-        return self._guarded(lambda: self.arms.move(angles_rad, station))
+        return self._guarded(lambda: self._move(angles_rad, station))
+
+    def _move(self, angles_rad: Sequence[float], station: str | None) -> HeldPose:
+        goal = self.arms.goal(angles_rad, station)
+        if not self.rig.solids:
+            return self.arms.move(goal, station)
+        way = self._detours.way(self.arms.measure().angles_rad, goal)
+        for _ in range(MOST_LEGS):
+            if len(way) == 1:
+                return self.arms.move(goal, station)
+            stood = self.arms.move(self.arms.goal(way[0])).angles_rad
+            way = self._detours.onward(stood, way[1:])
+        raise Refused("the way round does not end", where="move", todo="park the arms, then move again")
+
+    @cached_property
+    def _detours(self) -> Detours:
+        """Ways between poses; made at the first move, so that opening stays quick."""
+        from rig.clearance import Clearance
+        from rig.detour import Detours
+
+        return Detours(Clearance(self.rig))
 
     def park(self) -> HeldPose:
         """Light off for good, then every arm to its `park_deg`.
