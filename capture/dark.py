@@ -30,6 +30,8 @@ SAME_EXPOSURE = 1e-3
 HOT_SIGMAS = 6.0
 """How far from its neighbours' dark level a pixel is hot, in robust standard deviations."""
 
+_INNER_SIGMAS = 4.0
+
 SMALLEST_VARIANCE_DN2 = 1.0 / 12.0
 """Variance of a count's rounding: no dark frame is known better than this over the number of frames."""
 
@@ -185,8 +187,12 @@ def _outliers(mean: NDArray[np.float64], known_variance: float) -> NDArray[np.bo
             if part.size == 0:
                 continue
             middle = np.median(part)
-            spread = 1.4826 * float(np.median(np.abs(part - middle)))
-            far[row::2, col::2] = np.abs(part - middle) > HOT_SIGMAS * max(spread, math.sqrt(known_variance))
+            distance = np.abs(part - middle)
+            spread = max(1.4826 * float(np.median(distance)), math.sqrt(known_variance))
+            # Means of few counts lie on a grid, and so does their median: the mean square within is finer.
+            inner = distance[distance <= _INNER_SIGMAS * spread]
+            spread = max(float(np.sqrt(np.mean(inner**2))), math.sqrt(known_variance))
+            far[row::2, col::2] = distance > HOT_SIGMAS * spread
     return far
 
 

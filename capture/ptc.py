@@ -119,9 +119,27 @@ class PhotonTransfer:
         return float(np.sqrt(max(self.floor_dn2 - self.quantisation_step_dn**2 / 12.0, 0.0)))
 
     @property
+    def u_rounding_dn2(self) -> float:
+        """Standard uncertainty of the floor because q^2/12 is not quite what rounding adds, DN^2.
+
+        It adds more or less by where between two codes the level lies, which shows where the noise is below
+        half a step: a cosine over that place, of amplitude (4 s^2 + q^2 / pi^2) exp(-2 pi^2 s^2 / q^2)
+        (Widrow and Kollar 2008, ch. 4). This is the farthest noise that may have given the floor, over
+        sqrt(2).
+        """
+        square = self.quantisation_step_dn**2
+        if square == 0.0:
+            return 0.0
+        noise2 = square * np.linspace(0.0, 2.0, 2001)
+        amplitude = (4.0 * noise2 + square / np.pi**2) * np.exp(-2.0 * np.pi**2 * noise2 / square)
+        apart = np.abs(noise2 - (self.floor_dn2 - square / 12.0))
+        return float(np.max(apart, where=apart <= amplitude, initial=0.0) / np.sqrt(2.0))
+
+    @property
     def u_read_noise_dn(self) -> float:
         """Standard uncertainty of the read noise, DN; where there is none, the largest it might be."""
-        return float(self.u_floor_dn2 / (2.0 * max(self.read_noise_dn, np.sqrt(self.u_floor_dn2) / 2.0)))
+        u_variance = float(np.hypot(self.u_floor_dn2, self.u_rounding_dn2))
+        return u_variance / (2.0 * max(self.read_noise_dn, float(np.sqrt(u_variance)) / 2.0))
 
 
 def pair_points(

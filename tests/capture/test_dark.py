@@ -136,3 +136,11 @@ def test_dark_frames_are_checked() -> None:
     ):
         with pytest.raises(BadInput):
             DarkModel.from_frames(bad_frames, bad_seconds)
+
+
+def test_coarse_counts_make_no_pixel_hot() -> None:
+    """Means of eight frames lie on a grid of 1/8 DN, and so does their median distance: a third too short."""
+    rng = np.random.default_rng(4)
+    frames = [np.rint(128.0 + 0.71 * rng.standard_normal((400, 600))) for _ in range(8)]
+
+    assert not DarkModel.from_frames(frames, [10.0] * 8).hot.any()

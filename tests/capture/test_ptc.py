@@ -114,3 +114,20 @@ def test_stretched_codes_are_recognised() -> None:
     assert quantisation_step(np.arange(100, dtype=np.uint16)) == 1.0
     assert quantisation_step(np.arange(100, dtype=np.uint16) * 4 + 512) == 4.0
     assert quantisation_step(np.full(7, 3)) == 1.0
+
+
+@pytest.mark.parametrize("read_noise_dn", [0.25, 0.4])
+def test_noise_below_a_code_is_known_no_better_than_rounding_allows(read_noise_dn: float) -> None:
+    """Rounding adds anything from nothing to 1/4 DN^2 to so little noise, and the stated u would not know."""
+    rng = np.random.default_rng(6)
+    pulls = []
+    for place in np.linspace(0.0, 0.9, 10):
+        noise = rng.standard_normal((2, 240, 320)) * read_noise_dn
+        dark = np.rint(500.0 + place + noise)
+        light = np.rint(500.0 + place + 3000.0 + rng.standard_normal((2, 240, 320)) * np.sqrt(1500.0))
+        parts = [pair_points(pair[0], pair[1], 500.0 + place, CFA, range_dn=FULL) for pair in (dark, light)]
+        line = fit_transfer(TransferPoints.joined(parts))
+        pulls.append((line.read_noise_dn - read_noise_dn) / line.u_read_noise_dn)
+
+    assert np.sqrt(np.mean(np.square(pulls))) < 2.0
+    assert np.abs(pulls).max() < 4.0
