@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 ROUGHNESS = (0.05, 1.0)
 ALBEDO = 0.3
 GRAZING_DEG = 85.0
-SIDES_PX = (32, 48, 64)
+SIDES_PX = (64, 96, 128)
 _WIDTHS = {"m", "m_x", "m_y", "alpha", "alpha_x", "alpha_y", "alpha_retro", "half_width_rad"}
 _LEFT_ALONE = {"lafortune", "lafortune-retro", "abc"}
 """Models whose widths are no roughness: with their default shapes."""

@@ -1,13 +1,16 @@
-"""Upper bounds of light on its way over the surroundings of a sample, surface by surface.
+"""Upper bounds of light on its way over the surroundings of a sample, surface by surface, many poses at once.
 
 On the walls of a housing light is followed cell by cell (`simulator.light.cells`); in mirrors by the lamp's
-image, and by the largest radiance that they can show. A bound may be far above the truth and is never below.
+image, and by the largest radiance that they can show. A bound may be far above the truth. It is below it only
+where a lobe or the lamp's light on a wall is sharper than its nodes tell, for which there are margins: tests
+hold bounds against converged light over scenes drawn at random.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,34 +18,89 @@ from numpy.typing import NDArray
 from rig.angles import unit
 from simulator.light.cells import Cells
 from simulator.light.classes import HOUSING, SAMPLE
+from simulator.light.hemisphere import hemisphere
 from simulator.light.scene import Event
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from simulator.light.classes import Walk
-    from simulator.light.hemisphere import Hemisphere
     from simulator.light.scene import PlanarMirror, Scene
 
+    Reflectance = Callable[["Array", "Array"], "Array"]
+
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 
 CHANNELS = 3
-_REACH_MARGIN, _LOST = 1.1, 1e-3
-"""Of the sample's radius, for what points of the lamp do not tell; and of an image's height."""
+RINGS, TURNS = 16, 10
+"""Of the rules over the hemisphere."""
+MARGIN = 1.05
+"""What the integrals over the hemisphere may be wrong by: their rule does not know the lobe."""
+_CORNERS = 16
+"""Of a polygon around the sample, which is looked for in a mirror."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where light starts, in P poses.
+
+    Attributes
+    ----------
+    lamp_mm : ndarray, shape (P, 3)
+    wi : ndarray, shape (P, 3)
+        Towards it from the sample, above the horizon.
+    reflectance : callable
+        (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in 1/sr.
+    """
+
+    lamp_mm: Array
+    wi: Array
+    reflectance: Reflectance
+
+    @cached_property
+    def thrown(self) -> tuple[Array, Array]:
+        """The sample's albedo for this light, and its largest f_r times the other cosine; (P, C) each."""
+        found = hemisphere(lambda wi, wo: self.reflectance(wo, wi), self.wi, rings=RINGS, turns=TURNS)
+        return np.pi * found.least + MARGIN * found.rest, MARGIN * found.largest_cosine
+
+
+class Lobe(NamedTuple):
+    """What the sample makes of light from all directions, for L directions of the camera in each pose.
+
+    Attributes
+    ----------
+    least, rest, largest : ndarray, shape (P, L, C)
+        As in `simulator.light.hemisphere`.
+    weights : ndarray, shape (P, L, N, C)
+        As there.
+    cells : ndarray of int, shape (P, L, N)
+        The walls' cells in the directions of the weights.
+    """
+
+    least: Array
+    rest: Array
+    largest: Array
+    weights: Array
+    cells: Indices
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """Bounds of light on its way.
+    """Bounds of light on its way, in P poses.
 
     Attributes
     ----------
-    lamp_mm : ndarray, shape (3,), optional
-        The lamp, or its image in the mirrors so far; None once the light has been scattered.
-    walls : ndarray, shape (cells, channels)
-        Irradiance of the housing, where it was scattered last; one cell of zeros otherwise.
-    sample : ndarray, shape (channels,)
+    walls, most : ndarray, shape (P, cells, C)
+        Irradiance of the housing, where it was scattered last: mean and largest of each cell; one cell of
+        zeros otherwise.
+    sample : ndarray, shape (P, C)
         Radiance of the sample times its cosine, where it was scattered last.
+    flux : ndarray, shape (P, C), optional
+        What the sample has sent to the walls that the light comes from, in all, where it is known.
+    lamp_mm : ndarray, shape (P, 3), optional
+        The lamp, or its image in the mirrors so far; None once the light has been scattered.
     mirror : PlanarMirror, optional
         The last mirror, if light came over one since it was scattered.
     mirrored : bool
@@ -51,12 +109,25 @@ class Light:
         What mirrors have left of it since.
     """
 
+    walls: Array
+    most: Array
+    sample: Array
+    flux: Array | None = None
     lamp_mm: Array | None = None
-    walls: Array = field(default_factory=lambda: np.zeros((1, CHANNELS)))
-    sample: Array = field(default_factory=lambda: np.zeros(CHANNELS))
     mirror: PlanarMirror | None = None
     mirrored: bool = False
     kept: float = 1.0
+
+    @classmethod
+    def dark(cls, poses: int) -> Light:
+        """Return no light."""
+        walls = np.zeros((poses, 1, CHANNELS))
+        return cls(walls, walls, np.zeros((poses, CHANNELS)))
+
+    @property
+    def by_cells(self) -> bool:
+        """Whether it comes straight from walls that are known cell by cell."""
+        return self.walls.shape[1] > 1 and not self.mirrored
 
 
 class Surroundings:
@@ -65,9 +136,9 @@ class Surroundings:
     Parameters
     ----------
     scene : Scene
-    albedo : ndarray, shape (channels,)
+    albedo : ndarray, shape (C,)
         The sample's largest directional albedo.
-    largest : ndarray, shape (channels,)
+    largest : ndarray, shape (C,)
         Its largest f_r times the cosine of one of the directions.
     """
 
@@ -75,62 +146,91 @@ class Surroundings:
         self._scene, self._albedo, self._largest = scene, albedo, largest
         self._wall_albedo = scene.housing.albedo if scene.housing else 0.0
         # Without a housing no light asks the cells for anything; they still need a size.
-        half_size_mm = scene.housing.half_size_mm if scene.housing else 10.0 * scene.sample_radius_mm
-        self._cells = Cells(half_size_mm, scene.sample_radius_mm)
+        self._half_mm = scene.housing.half_size_mm if scene.housing else 10.0 * scene.sample_radius_mm
+        self.cells = Cells(self._half_mm, scene.sample_radius_mm)
         self._area = np.pi * scene.sample_radius_mm**2
-        origin = np.zeros(3)
-        nearest = min((_distance(mirror, origin) for mirror in scene.mirrors), default=np.inf)
+        origin = np.zeros((1, 3))
+        nearest = min((float(_distance(mirror, origin)[0]) for mirror in scene.mirrors), default=np.inf)
         self._to_mirror_mm = max(0.0, nearest - scene.sample_radius_mm)
-        self._known_from: Array | None = None
-        self._known: dict[Walk, Light] = {}
 
-    def along(self, walk: Walk, lamp_mm: Array) -> Light:
-        """Follow the lamp's light over all surfaces of a walk; what walks have in common is followed once."""
-        if self._known_from is None or not np.array_equal(self._known_from, lamp_mm):
-            self._known_from, self._known = lamp_mm, {(): Light(lamp_mm=lamp_mm)}
-        if walk not in self._known:
-            light, (node, event) = self.along(walk[:-1], lamp_mm), walk[-1]
+    def along(self, walk: Walk, start: Start, known: dict[Walk, Light]) -> Light:
+        """Follow the lamp's light over all surfaces of a walk.
+
+        Parameters
+        ----------
+        walk : Walk
+        start : Start
+        known : dict of Walk to Light
+            Of the same start: what walks have in common is followed once.
+        """
+        if not walk:
+            return replace(Light.dark(len(start.lamp_mm)), lamp_mm=start.lamp_mm)
+        if walk not in known:
+            light, (node, event) = self.along(walk[:-1], start, known), walk[-1]
             if node == HOUSING:
-                light = self._on_walls(light)
+                known[walk] = self._on_walls(light)
             elif event is Event.MIRROR:
-                light = _in_mirror(light, None if node == SAMPLE else self._scene.mirrors[int(node)])
+                known[walk] = _in_mirror(light, None if node == SAMPLE else self._scene.mirrors[int(node)])
             else:
-                light = self._on_sample(light)
-            self._known[walk] = light
-        return self._known[walk]
+                known[walk] = self._on_sample(light, start)
+        return known[walk]
 
     def radiance_on_sample(self, light: Light) -> Array:
-        """Largest radiance (channels,) that walls, or mirrors that show them, send to the sample."""
-        walls = light.walls
-        if len(walls) > 1 and not light.mirrored:
-            walls = walls[self._cells.above]
-        return np.asarray(light.kept * self._wall_albedo / np.pi * walls.max(axis=0))
+        """Largest radiance (P, C) that walls, or mirrors that show them, send to the sample."""
+        most = light.most[:, self.cells.above] if light.by_cells else light.most
+        return np.asarray(light.kept * self._wall_albedo / np.pi * most.max(axis=1))
 
-    def irradiance_of_sample(self, light: Light) -> Array:
-        """Irradiance (channels,) of the sample by walls, or by mirrors that show them."""
-        if light.mirrored or len(light.walls) == 1:
-            return np.pi * self.radiance_on_sample(light)
-        return self._cells.on_sample(self._wall_albedo * light.walls)
-
-    def lobe_on_sample(self, light: Light, lobe: Hemisphere) -> Array:
-        """Radiance (channels,) that a lobe makes of the walls it looks at, or of mirrors that show them."""
-        if light.mirrored or len(light.walls) == 1:
-            return lobe.rest * self.radiance_on_sample(light)
-        seen = self._wall_albedo / np.pi * light.walls[self._cells.seen(lobe.directions)]
-        return np.asarray(np.sum(lobe.weights * seen, axis=0))
+    def by_walls(self, light: Light, lobe: Lobe) -> Array:
+        """Radiance (P, C) of the sample lit by walls, or by mirrors that show them."""
+        brightest = self.radiance_on_sample(light)
+        if light.by_cells:
+            irradiance = self.cells.on_sample(self._wall_albedo * light.walls)
+            poses = np.arange(len(light.most))[:, None, None]
+            seen = self._wall_albedo / np.pi * light.most[poses, lobe.cells]
+            found = lobe.least * irradiance[:, None] + np.sum(lobe.weights * seen, axis=2)
+        else:
+            found = (np.pi * lobe.least + lobe.rest) * brightest[:, None]
+        if light.flux is not None:
+            # All of the flux falls where the lobe is brightest, straight ahead, at the least distance.
+            whole = lobe.largest * (self._wall_albedo / np.pi * light.flux / self._half_mm**2)[:, None]
+            found = np.minimum(found, whole)
+        return np.asarray(found.max(axis=1))
 
     def sample_on_itself(self, light: Light) -> Array:
-        """Irradiance (channels,) of the sample by its own image in a mirror."""
+        """Irradiance (P, C) of the sample by its own image in a mirror."""
         return light.kept * light.sample * self._solid_angle(2.0 * self._to_mirror_mm)
 
-    def reaches_sample(self, light: Light) -> bool:
-        """Tell whether the lamp's image can be seen from some point of the sample in the last mirror."""
-        if light.lamp_mm is None or light.mirror is None:
-            return True
-        around = self._scene.lamp_radius_mm * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-        reach_mm = _REACH_MARGIN * self._scene.sample_radius_mm
-        # Each point of the lamp's disc has a frame of light of its own.
-        return any(_reaches(light.lamp_mm + off, light.mirror, reach_mm) for off in around)
+    def reaches_sample(self, light: Light) -> Bools:
+        """Tell in which poses (P,) the lamp's image may be seen from the sample in the last mirror.
+
+        A polygon around the sample, seen from the image, is held against the mirror's rectangle in the
+        mirror's plane, along the rectangle's sides.
+        """
+        image, mirror = light.lamp_mm, light.mirror
+        if image is None:
+            raise ValueError("light that was scattered comes from no lamp")
+        if mirror is None:
+            return np.ones(len(image), dtype=bool)
+        centre, radius = np.asarray(mirror.centre_mm), self._scene.lamp_radius_mm
+        turn = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
+        reach_mm = self._scene.sample_radius_mm / np.cos(np.pi / _CORNERS)
+        around = reach_mm * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+        before = (around - centre) @ mirror.normal
+        around, before = around[before > 0.0], before[before > 0.0]
+        if not len(around):
+            return np.zeros(len(image), dtype=bool)
+        # Points of the lamp are no further from its middle than the corners of a cube around it.
+        offsets = radius * (2.0 * np.stack(np.meshgrid(*[[0, 1]] * 3), axis=-1).reshape(-1, 3) - 1.0)
+        places = image[:, None] + offsets
+        behind = (centre - places) @ mirror.normal
+        share = before / (before + np.maximum(behind, 0.0)[..., None])
+        met = around + share[..., None] * (places[:, :, None] - around) - centre
+        found = (behind > 0.0).any(axis=1) & (places[..., 2] > 0.0).any(axis=1)
+        for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
+            along = (met @ side / (side @ side)).reshape(len(image), -1)
+            found &= (along.min(axis=1) <= 1.0) & (along.max(axis=1) >= -1.0)
+        # What sees the mirror from behind in places is not told apart.
+        return found | (len(around) < _CORNERS) & (places[..., 2] > 0.0).any(axis=1)
 
     def series(self, lights: Sequence[Light]) -> Light | None:
         """Sum lights and all that they become over any number of further surfaces.
@@ -138,25 +238,31 @@ class Surroundings:
         Parameters
         ----------
         lights : sequence of Light
-            Scattered at least once.
+            Scattered at least once; not none.
 
         Returns
         -------
         Light or None
             As if over a mirror, which shows the walls' sum and the sample's; None if the sum is endless.
         """
-        start = np.zeros((4, CHANNELS))
+        if self._summed is None:
+            return None
+        start = np.zeros((len(lights[0].sample), 4, CHANNELS))
         for light in lights:
             shown = 2 * int(light.mirrored)
-            start[shown] += light.kept * light.walls.max(axis=0)
-            start[shown + 1] += light.kept * light.sample
-        total = np.empty_like(start)
-        for channel in range(CHANNELS):
-            step = self._step(channel)
-            if not np.all(np.isfinite(step)) or np.max(np.abs(np.linalg.eigvals(step))) >= 1.0:
-                return None
-            total[:, channel] = np.linalg.solve(np.eye(4) - step, start[:, channel])
-        return Light(walls=(total[0] + total[2])[None], sample=total[3], mirrored=True)
+            start[:, shown] += light.kept * light.most.max(axis=1)
+            start[:, shown + 1] += light.kept * light.sample
+        total = np.einsum("cij,pjc->pic", self._summed, start)
+        walls = (total[:, 0] + total[:, 2])[:, None]
+        return Light(walls, walls, total[:, 3], mirrored=True)
+
+    @cached_property
+    def _summed(self) -> Array | None:
+        """Sum of all powers of the steps of each channel, (C, 4, 4); None if it is endless."""
+        steps = np.stack([self._step(channel) for channel in range(CHANNELS)])
+        if not np.all(np.isfinite(steps)) or np.max(np.abs(np.linalg.eigvals(steps))) >= 1.0:
+            return None
+        return np.asarray(np.linalg.inv(np.eye(4) - steps))
 
     def _step(self, channel: int) -> Array:
         """How walls, sample, walls in mirrors and sample in mirrors feed each other, at most; (4, 4)."""
@@ -167,7 +273,7 @@ class Surroundings:
         r = max(reflectances, default=0.0)
         again = r if len(reflectances) > 1 else 0.0
         albedo, largest = self._albedo[channel] * a / np.pi, self._largest[channel]
-        to_walls = self._cells.from_sample.max() if scene.housing else 0.0
+        to_walls = self.cells.from_sample.max() if scene.housing else 0.0
         shown_to_walls = self._solid_angle(self._to_mirror_mm) if scene.housing else 0.0
         on_itself = largest * self._solid_angle(2.0 * self._to_mirror_mm)
         return np.array(
@@ -179,43 +285,55 @@ class Surroundings:
             ]
         )
 
-    def _on_sample(self, light: Light) -> Light:
+    def _on_sample(self, light: Light, start: Start) -> Light:
+        dark = Light.dark(len(light.sample))
         if light.lamp_mm is not None:
-            return Light(sample=self._largest * light.kept * self._irradiance(light.lamp_mm))
+            straight = light.lamp_mm is start.lamp_mm
+            irradiance = light.kept * self._irradiance(light.lamp_mm)[:, None]
+            albedo, brightest = start.thrown if straight else (self._albedo, self._largest)
+            return replace(dark, sample=brightest * irradiance, flux=albedo * irradiance * self._area)
         lit_by_walls = self._albedo * self.radiance_on_sample(light)
-        return Light(sample=lit_by_walls + self._largest * self.sample_on_itself(light))
+        return replace(dark, sample=lit_by_walls + self._largest * self.sample_on_itself(light))
 
     def _on_walls(self, light: Light) -> Light:
-        scene, cells = self._scene, self._cells
+        scene, cells = self._scene, self.cells
         if light.lamp_mm is not None and light.mirrored:
-            return self._evenly(light.kept * scene.lamp_intensity / self._lamp_to_mirror_mm(light) ** 2)
+            squared = np.square(self._lamp_to_mirror_mm(light))
+            return self._evenly((light.kept * scene.lamp_intensity / squared)[:, None])
         if light.lamp_mm is not None:
             axis = unit(-light.lamp_mm) if scene.lamp_cosine else None
             lit = cells.lit_by(light.lamp_mm, scene.lamp_intensity, scene.lamp_radius_mm, axis)
-            return Light(walls=np.repeat(lit[:, None], CHANNELS, axis=1))
+            mean, most = (np.repeat(values[..., None], CHANNELS, axis=-1) for values in lit)
+            return Light(mean, most, np.zeros((len(mean), CHANNELS)))
         if light.mirrored:
             by_sample = light.kept * light.sample * self._solid_angle(self._to_mirror_mm)
             return self._evenly(np.pi * self.radiance_on_sample(light) + by_sample)
-        walls = cells.from_sample[:, None] * light.sample
-        if len(light.walls) > 1:
-            walls = walls + cells.exchange(self._wall_albedo * light.walls)
-        return Light(walls=walls)
+        none = np.zeros_like(light.sample)
+        if light.by_cells:
+            walls = cells.exchange(self._wall_albedo * light.walls)
+            return Light(walls, walls, none)
+        walls = cells.from_sample[:, None] * light.sample[:, None]
+        return Light(walls, walls, none, flux=light.flux)
 
-    def _evenly(self, irradiance: float | Array) -> Light:
-        return Light(walls=np.tile(np.broadcast_to(irradiance, CHANNELS), (len(self._cells.above), 1)))
+    def _evenly(self, irradiance: Array) -> Light:
+        cells = len(self.cells.above)
+        walls = np.broadcast_to(irradiance[:, None], (len(irradiance), cells, CHANNELS))
+        return Light(walls, walls, np.zeros((len(irradiance), CHANNELS)))
 
-    def _irradiance(self, lamp_mm: Array) -> float:
-        """Irradiance of the sample by the lamp or an image of it."""
-        height = max(0.0, float(lamp_mm[2]))
-        nearest = max(height, float(np.linalg.norm(lamp_mm)) - self._scene.sample_radius_mm, 1e-300)
-        return self._scene.lamp_intensity * height / nearest**3
+    def _irradiance(self, lamp_mm: Array) -> Array:
+        """Irradiance (P,) of the sample by the lamp or an image of it."""
+        height = np.maximum(0.0, lamp_mm[:, 2])
+        nearest = np.linalg.norm(lamp_mm, axis=-1) - self._scene.sample_radius_mm
+        return self._scene.lamp_intensity * height / np.maximum(np.maximum(height, nearest), 1e-100) ** 3
 
-    def _lamp_to_mirror_mm(self, light: Light) -> float:
-        """Shortest way from the lamp over all mirrors so far, less than which no wall behind them is away."""
+    def _lamp_to_mirror_mm(self, light: Light) -> Array:
+        """Shortest way (P,) from the lamp over all mirrors so far, less than which no wall behind is away."""
         assert light.lamp_mm is not None  # noqa: S101 - only asked of a lamp's light
         if light.mirror is None:
-            return max(1e-300, float(np.linalg.norm(light.lamp_mm)) - self._scene.sample_radius_mm)
-        return max(1e-300, _distance(light.mirror, light.lamp_mm) - self._scene.lamp_radius_mm)
+            nearest = np.linalg.norm(light.lamp_mm, axis=-1) - self._scene.sample_radius_mm
+        else:
+            nearest = _distance(light.mirror, light.lamp_mm) - self._scene.lamp_radius_mm
+        return np.maximum(1e-100, nearest)
 
     def _solid_angle(self, distance_mm: float) -> float:
         """Area of the sample over a distance squared; infinite for none."""
@@ -228,52 +346,12 @@ def _in_mirror(light: Light, mirror: PlanarMirror | None) -> Light:
     if image is not None:
         image = image * [1.0, 1.0, -1.0] if mirror is None else mirror.image(image)
     kept = light.kept * (1.0 if mirror is None else mirror.reflectance)
-    return replace(light, lamp_mm=image, mirror=mirror, mirrored=True, kept=kept)
+    return replace(light, lamp_mm=image, mirror=mirror, mirrored=True, kept=kept, flux=None)
 
 
-def _reaches(image_mm: Array, mirror: PlanarMirror, reach_mm: float) -> bool:
-    """Tell whether a point behind a mirror is seen in it from somewhere near the origin at z = 0."""
-    height = image_mm[2]
-    if height <= 0.0 or (image_mm - np.asarray(mirror.centre_mm)) @ mirror.normal >= 0.0:
-        return False
-    # What is higher than the image throws its light up, what is just below it so far away that it is lost.
-    window = _between(mirror.corners_mm, 0.0, (1.0 - _LOST) * height)
-    if len(window) < 3:
-        return False
-    scale = height / (height - window[:, 2])
-    spots = image_mm + scale[:, None] * (window - image_mm)
-    return bool(_distance_to_polygon(spots[:, :2]) <= reach_mm)
-
-
-def _between(corners: Array, low: float, high: float) -> Array:
-    """Cut a convex polygon (N, 3) at two heights, as Sutherland and Hodgman (1974) do."""
-    for sign, level in ((1.0, low), (-1.0, high)):
-        above = sign * (corners[:, 2] - level)
-        kept = []
-        for start, end, here, there in zip(
-            corners, np.roll(corners, -1, axis=0), above, np.roll(above, -1), strict=True
-        ):
-            if here >= 0.0:
-                kept.append(start)
-            if here * there < 0.0:
-                kept.append(start + here / (here - there) * (end - start))
-        corners = np.array(kept).reshape(-1, 3)
-    return corners
-
-
-def _distance(mirror: PlanarMirror, point_mm: Array) -> float:
-    """Distance of a point from a mirror's rectangle."""
-    way = point_mm - np.asarray(mirror.centre_mm)
-    sides = [np.asarray(side) for side in (mirror.across_mm, mirror.up_mm)]
-    on = [np.clip(way @ side / (side @ side), -1.0, 1.0) * side for side in sides]
-    return float(np.linalg.norm(way - on[0] - on[1]))
-
-
-def _distance_to_polygon(corners: Array) -> float:
-    """Distance of the origin from a convex polygon (N, 2); zero inside."""
-    edges = np.roll(corners, -1, axis=0) - corners
-    sides = edges[:, 0] * corners[:, 1] - edges[:, 1] * corners[:, 0]
-    if np.all(sides >= 0.0) or np.all(sides <= 0.0):
-        return 0.0
-    t = np.clip(-np.sum(corners * edges, axis=1) / np.sum(edges**2, axis=1), 0.0, 1.0)
-    return float(np.min(np.linalg.norm(corners + t[:, None] * edges, axis=1)))
+def _distance(mirror: PlanarMirror, points_mm: Array) -> Array:
+    """Distances (P,) of points (P, 3) from a mirror's rectangle."""
+    way = points_mm - np.asarray(mirror.centre_mm)
+    for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
+        way = way - np.clip(way @ side / (side @ side), -1.0, 1.0)[:, None] * side
+    return np.asarray(np.linalg.norm(way, axis=-1))

@@ -1,9 +1,9 @@
-"""Upper bounds of the light between a housing's walls and a sample.
+"""Light between a housing's walls and a sample, many poses at once, never less than there is.
 
-The walls of the cube are cut into cells. What the lamp gives a cell is the largest of its values at nine
-nodes, corners and middle, which bound a function that is smooth there; in cells near the lamp it is bounded
-by intervals: the largest cosines over the smallest distance. From cell to cell, and to the sample, light goes
-by form factors, and margins make up for what a mean over a cell does not know. Shadows only take light away.
+The walls of the cube are cut into cells. What the lamp gives a cell is the mean of its values at nine nodes,
+corners and middle, after Simpson, and at most the largest of them; in cells near the lamp both are bounded by
+intervals: the largest cosines over the smallest distance. From cell to cell, and to the sample, light goes by
+form factors, and margins make up for what a mean over a cell does not know. Shadows only take light away.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NODES = np.array([-1.0, 0.0, 1.0])
 _SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
 _NEAR = 1.0
 """Distance of lamp and cell, in sides of a cell, up to which it is bounded by intervals."""
-_SAMPLE_MARGIN, _CELL_MARGIN = 1.1, 1.25
+_SAMPLE_MARGIN, _CELL_MARGIN = 1.1, 1.1
 """What a place of the sample, or of a cell, may receive above the mean that form factors know."""
 
 
@@ -56,6 +56,7 @@ class Cells:
             + _NODES[:, None, None] * sides[0][:, None, None]
             + _NODES[:, None] * sides[1][:, None, None]
         ).reshape(-1, len(_NODES) ** 2, 3)
+        self._wall_mm, self._squared = half_size_mm, np.sum(self._points**2, axis=-1)
         self._low, self._high = self._points.min(axis=1), self._points.max(axis=1)
         self.above = self._high[:, 2] > 1e-9 * half_size_mm
         distance = np.linalg.norm(self._points, axis=-1)
@@ -68,49 +69,61 @@ class Cells:
         visible = disc_area * (there / distance**2).max(axis=1) * self.above
         self.from_sample = _SAMPLE_MARGIN * visible
 
-    def lit_by(self, lamp_mm: Array, intensity: float, radius_mm: float, axis: Array | None) -> Array:
-        """Irradiance of the walls by the lamp, at most.
+    def lit_by(
+        self, lamp_mm: Array, intensity: float, radius_mm: float, axis: Array | None
+    ) -> tuple[Array, Array]:
+        """Irradiance of the walls by the lamp.
 
         Parameters
         ----------
-        lamp_mm : ndarray, shape (3,)
-            Its centre.
+        lamp_mm : ndarray, shape (P, 3)
+            Its centre in each pose.
         intensity : float
             Radiant intensity along its axis.
         radius_mm : float
             Radius of its disc.
-        axis : ndarray, shape (3,), optional
+        axis : ndarray, shape (P, 3), optional
             Where a disc faces; by default the lamp shines in all directions alike.
 
         Returns
         -------
-        ndarray, shape (cells,)
+        mean, most : ndarray, shape (P, cells)
+            Of each cell.
         """
-        gap = np.linalg.norm(np.maximum(np.maximum(self._low - lamp_mm, lamp_mm - self._high), 0.0), axis=-1)
-        near = gap <= 2.0 * _NEAR * self._half_mm + radius_mm
-        way = self._points - lamp_mm
-        distance = np.maximum(np.linalg.norm(way, axis=-1), np.finfo(float).tiny)
-        cosine = np.maximum(-np.einsum("pnj,pj->pn", way, self._walls.normals), 0.0) / distance
-        emitted = np.ones_like(cosine) if axis is None else np.maximum(way @ axis, 0.0) / distance
-        found = intensity * (cosine * emitted / distance**2).max(axis=1)
+        lamp = lamp_mm[:, None]
+        beside = np.maximum(np.maximum(self._low - lamp, lamp - self._high), 0.0)
+        gap = np.sqrt(beside[..., 0] ** 2 + beside[..., 1] ** 2 + beside[..., 2] ** 2)
         closest = np.maximum(gap - radius_mm, np.finfo(float).tiny)
-        height = np.max(-np.einsum("pnj,pj->pn", way, self._walls.normals), axis=1) + radius_mm
-        bound = intensity * np.clip(height / closest, 0.0, 1.0) / closest**2
+        # All places of a wall are at one height below the lamp.
+        height = np.maximum(self._wall_mm + lamp_mm @ self._walls.normals.T, 0.0)
+        bound = intensity * np.clip((height + radius_mm) / closest, 0.0, 1.0) / closest**2
+        # One product for each pose: how many there are changes no digit.
+        shape = (len(lamp_mm), *self._points.shape[:2])
+        towards = (lamp @ self._points.reshape(-1, 3).T).reshape(shape)
+        lamp_squared = np.sum(lamp_mm**2, axis=-1)[:, None, None]
+        squared = np.maximum(self._squared - 2.0 * towards + lamp_squared, np.finfo(float).tiny)
+        found = intensity * height[..., None] / (squared * np.sqrt(squared))
         if axis is not None:
-            bound = bound * np.clip(((way @ axis).max(axis=1) + radius_mm) / closest, 0.0, 1.0)
-        return np.asarray(np.where(near, bound, found))
+            ahead = (axis[:, None] @ self._points.reshape(-1, 3).T).reshape(shape)
+            ahead -= np.sum(lamp_mm * axis, axis=-1)[:, None, None]
+            found *= np.maximum(ahead, 0.0) / np.sqrt(squared)
+            bound *= np.clip((ahead.max(axis=-1) + radius_mm) / closest, 0.0, 1.0)
+        near = gap <= 2.0 * _NEAR * self._half_mm + radius_mm
+        means = found @ np.outer(_SIMPSON, _SIMPSON).ravel()
+        return np.where(near, bound, means), np.where(near, bound, found.max(axis=-1))
 
     def exchange(self, leaving: Array) -> Array:
-        """Irradiance of the walls by radiosities (cells, channels) of all walls, at most."""
-        return np.asarray(_CELL_MARGIN * _form_factors() @ leaving)
+        """Irradiance of the walls by radiosities (P, cells, channels) of all walls, at most."""
+        return np.asarray(_CELL_MARGIN * (_form_factors() @ leaving))
 
     def on_sample(self, leaving: Array) -> Array:
-        """Irradiance (channels,) of the sample by radiosities (cells, channels) of the walls, at most."""
-        return np.asarray(_SAMPLE_MARGIN * self._seen_by_sample @ leaving)
+        """Irradiance (P, channels) of the sample by radiosities (P, cells, channels) of walls, at most."""
+        return np.asarray(_SAMPLE_MARGIN * (self._seen_by_sample @ leaving))
 
     def seen(self, directions: Array) -> Indices:
-        """Return the cells (N,) that the sample's centre sees in directions (N, 3)."""
-        return self._walls.hit(np.zeros_like(directions), directions).patches
+        """Return the cells (...) that the sample's centre sees in directions (..., 3)."""
+        ways = directions.reshape(-1, 3)
+        return self._walls.hit(np.zeros_like(ways), ways).patches.reshape(directions.shape[:-1])
 
 
 @cache

@@ -19,7 +19,7 @@ from simulator.light.reflectance import material_reflectance
 from simulator.light.shares import Shares
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from simulator.light.classes import PathClass
     from simulator.light.evaluator import Method
@@ -141,6 +141,34 @@ class Chooser:
         number = self.classes.index(path_class)
         return tuple(method for method in self._able[number] if self._obstacle(method, (number,)) is None)
 
+    def decide_many(self, poses_rad: Iterable[Sequence[float]]) -> list[Decision]:
+        """Decide about poses, each as if it were alone, in a fraction of the time.
+
+        Parameters
+        ----------
+        poses_rad : iterable of sequences of float
+            As in `decide`.
+
+        Returns
+        -------
+        list of Decision
+            In the order of the poses.
+
+        Raises
+        ------
+        Refused
+            As `decide`.
+        """
+        poses = [tuple(float(angle) for angle in pose) for pose in poses_rad]
+        if not self.classes:
+            return [Decision((), (), (), (), self._tolerance)] * len(poses)
+        for method in dict.fromkeys(method for able in self._able.values() for method in able):
+            method.foresee(self._mi, self._scene, poses)
+        return [
+            self._decided(pose, bounds)
+            for pose, bounds in zip(poses, self._shares.bounds(poses), strict=True)
+        ]
+
     def decide(self, angles_rad: Sequence[float]) -> Decision:
         """Decide about a pose.
 
@@ -159,16 +187,18 @@ class Chooser:
         Refused
             No methods can compute what may not be skipped.
         """
-        classes, bounds = self._shares.classes, self._shares.bounds(angles_rad)
-        if not classes:
-            return Decision((), (), (), (), self._tolerance)
-        left_out = _LeftOut(self._mi, self._scene, angles_rad)
-        best: tuple[tuple[bool, float], tuple[Part, ...], tuple[int, ...]] | None = None
-        for skipped, spent, parts in self._ways(bounds, MOST_SKIPPED * self._tolerance, left_out):
+        return self.decide_many([angles_rad])[0]
+
+    def _decided(self, angles_rad: tuple[float, ...], bounds: tuple[float, ...]) -> Decision:
+        asked = _Asked(self._mi, self._scene, angles_rad, vector=self._vector)
+        classes = self._shares.classes
+        best: tuple[tuple[bool, float, float], tuple[Part, ...], tuple[int, ...]] | None = None
+        for skipped, spent, parts in self._ways(bounds, MOST_SKIPPED * self._tolerance, asked):
             missed = spent + sum(part.leaves_out for part in parts) > self._tolerance
             cost = sum(part.leaves_out for part in parts) if missed else sum(p.seconds for p in parts)
-            if best is None or (missed, cost) < best[0]:
-                best = (missed, cost), parts, skipped
+            # Of what costs the same, that which leaves out least.
+            if best is None or (missed, cost, spent) < best[0]:
+                best = (missed, cost, spent), parts, skipped
         if best is None:
             raise Refused(
                 f"no method computes the light paths {self._unable()}",
@@ -185,12 +215,13 @@ class Chooser:
         angles_rad : sequence of float
             True angles of the arm joints.
         """
-        left_out = _LeftOut(self._mi, self._scene, angles_rad)
-        for _, _, parts in self._ways(self._shares.bounds(angles_rad), np.inf, left_out):
+        pose = tuple(float(angle) for angle in angles_rad)
+        asked = _Asked(self._mi, self._scene, pose, vector=self._vector)
+        for _, _, parts in self._ways(self._shares.bounds([pose])[0], np.inf, asked):
             yield parts
 
     def _ways(
-        self, bounds: Sequence[float], most: float, left_out: _LeftOut
+        self, bounds: Sequence[float], most: float, asked: _Asked
     ) -> Iterator[tuple[tuple[int, ...], float, tuple[Part, ...]]]:
         """Yield what is skipped, the sum of its bounds, and who computes the rest."""
         order = sorted(range(len(bounds)), key=lambda number: (bounds[number], -number))
@@ -202,7 +233,7 @@ class Chooser:
             kept = tuple(number for number in range(len(bounds)) if number not in skipped)
             left = max(self._tolerance - spent, (1.0 - MOST_SKIPPED) * self._tolerance)
             for division in self._divisions(kept):
-                yield skipped, spent, self._parts(division, left, bounds, left_out)
+                yield skipped, spent, self._parts(division, left, bounds, asked)
 
     def _divisions(self, kept: tuple[int, ...]) -> tuple[dict[Method, tuple[int, ...]], ...]:
         """Every way to divide classes among methods that can compute their parts exactly."""
@@ -243,18 +274,16 @@ class Chooser:
         division: Mapping[Method, tuple[int, ...]],
         left: float,
         bounds: Sequence[float],
-        left_out: _LeftOut,
+        asked: _Asked,
     ) -> tuple[Part, ...]:
         """Ask each method for its part of what is left; light that is little may be rough."""
         parts = []
         for method, numbers in division.items():
-            paths, missing = self._union(numbers), left_out.by(method)
+            paths, missing = self._union(numbers), asked.left_out(method)
             allowed = max(left / len(division) - missing, _LEAST * self._tolerance)
             share = min(1.0, sum(bounds[number] for number in numbers))
             tolerance = allowed / max(share, allowed / _ROUGHEST)
-            seconds = method.seconds_at(
-                self._mi, self._scene, paths, tolerance, left_out.angles_rad, vector=self._vector
-            )
+            seconds = asked.seconds(method, numbers, paths, tolerance)
             classes = tuple(self._shares.classes[number] for number in numbers)
             parts.append(Part(method, classes, paths, seconds, tolerance, missing))
         return tuple(parts)
@@ -276,17 +305,28 @@ _ROUGHEST = 0.3
 """Largest error that a method is asked for, relative to what it computes: beyond, none knows its own."""
 
 
-class _LeftOut:
-    """What each method leaves out at a pose, asked for once."""
+class _Asked:
+    """What methods say about a pose, asked for once."""
 
-    def __init__(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> None:
-        self._arguments, self.angles_rad = (mi, scene, angles_rad), angles_rad
-        self._known: dict[Method, float] = {}
+    def __init__(self, mi: Any, scene: Scene, angles_rad: tuple[float, ...], *, vector: bool) -> None:
+        self._mi, self._scene, self._angles_rad, self._vector = mi, scene, angles_rad, vector
+        self._left_out: dict[Method, float] = {}
+        self._seconds: dict[tuple[Method, tuple[int, ...], float], float] = {}
 
-    def by(self, method: Method) -> float:
-        if method not in self._known:
-            self._known[method] = method.leaves_out(*self._arguments)
-        return self._known[method]
+    def left_out(self, method: Method) -> float:
+        """Return what it leaves out however long it works."""
+        if method not in self._left_out:
+            self._left_out[method] = method.leaves_out(self._mi, self._scene, self._angles_rad)
+        return self._left_out[method]
+
+    def seconds(self, method: Method, numbers: tuple[int, ...], paths: LightPaths, tolerance: float) -> float:
+        """Return its predicted time for some classes, whose union the paths are."""
+        key = method, numbers, tolerance
+        if key not in self._seconds:
+            self._seconds[key] = method.seconds_at(
+                self._mi, self._scene, paths, tolerance, self._angles_rad, vector=self._vector
+            )
+        return self._seconds[key]
 
 
 def _by_method(chosen: Sequence[Method], groups: Sequence[tuple[int, ...]]) -> dict[Method, tuple[int, ...]]:

@@ -22,7 +22,7 @@ from simulator.light.direct_llvm import MitsubaNodes
 from simulator.light.direct_search import CAUTION, MOST_NODES, Search
 from simulator.light.direct_view import extents_of, lens_of, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
-from simulator.light.finite_size import pose_error
+from simulator.light.finite_size import pose_error, pose_errors
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import closed_form_reflectance, mitsuba_reflectance
 from simulator.light.sparse_rules import CENTRES, Levels, product_rule, sparse_rule
@@ -198,6 +198,11 @@ class _DirectMethod(Method):
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of a pose; see `Method.seconds`."""
         return self._seconds(scene, tolerance, COARSE, vector=vector)
+
+    def foresee(self, mi: Any, scene: Scene, poses_rad: Sequence[tuple[float, ...]]) -> None:
+        """Estimate for many poses at once; see `Method.foresee`."""
+        if scene.plain:
+            pose_errors(mi, scene, poses_rad)
 
     def seconds_at(
         self,

@@ -166,6 +166,18 @@ class Method(ABC):
             As in `obstacle`.
         """
 
+    def foresee(self, mi: Any, scene: Scene, poses_rad: Sequence[tuple[float, ...]]) -> None:  # noqa: B027
+        """Prepare for questions about poses, many at once; by default there is nothing to prepare.
+
+        Parameters
+        ----------
+        mi : module
+            As in `build`.
+        scene : Scene
+        poses_rad : sequence of tuple of float
+            True angles of the arm joints.
+        """
+
     def leaves_out(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> float:  # noqa: ARG002
         """Estimate the relative error that it leaves at a pose however long it works; by default none."""
         return 0.0

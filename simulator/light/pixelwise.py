@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rig.pixels import irradiance, pixel_geometry
 from simulator.light.costs import GEOMETRY_S, MITSUBA_VALUE_S, ONE_BY_ONE_S, value_s
 from simulator.light.evaluator import Evaluator, Method, Rendering
-from simulator.light.finite_size import pose_error
+from simulator.light.finite_size import pose_error, pose_errors
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance, mitsuba_reflectance
 from simulator.materials import NOT_RENDERED
@@ -76,6 +76,11 @@ class PointMethod(Method):
     """What all methods share that take lamp, pixel and pupil for points."""
 
     covers = LightPaths("LDE")
+
+    def foresee(self, mi: Any, scene: Scene, poses_rad: Sequence[tuple[float, ...]]) -> None:
+        """Estimate for many poses at once; see `Method.foresee`."""
+        if scene.plain:
+            pose_errors(mi, scene, poses_rad)
 
     def leaves_out(self, mi: Any, scene: Scene, angles_rad: Sequence[float]) -> float:
         """Estimate what a lamp, a pixel and a pupil with a size would change; see `Method.leaves_out`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rig.description import Camera, default_rig
@@ -85,8 +86,21 @@ def test_a_looser_tolerance_skips_more(scalar: Any) -> None:
     """Would catch a tolerance that nothing heeds."""
     scene = scene_of(scalar, "lambert:kd=0.5", 0.04)
     skipped = [len(Chooser(scalar, scene, t, METHODS).decide(POSE).skipped) for t in (1e-7, 1e-3, 0.1)]
-    assert skipped[0] == 0
-    assert skipped == sorted(set(skipped))
+    assert skipped == sorted(skipped)
+    assert skipped[0] == 0 < skipped[-1]
+
+
+def test_many_poses_are_decided_as_each_is_alone(scalar: Any) -> None:
+    """Would catch a decision, and so a frame, that depends on what else was asked."""
+    chooser = Chooser(scalar, scene_of(scalar, GLOSSY, 0.04), 1e-3, METHODS)
+    poses = np.random.default_rng(0).uniform(-1.2, 1.2, (40, 4))
+    alone = Chooser(scalar, scene_of(scalar, GLOSSY, 0.04), 1e-3, METHODS)
+    for together, pose in zip(chooser.decide_many(poses), poses, strict=True):
+        one = alone.decide(pose)
+        assert together.bounds == one.bounds
+        assert [(part.method, part.tolerance) for part in together.parts] == [
+            (part.method, part.tolerance) for part in one.parts
+        ]
 
 
 class TestDivision:
