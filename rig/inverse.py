@@ -35,8 +35,10 @@ class _Branch(NamedTuple):
     worst: int
 
 
-def solve(kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: str) -> FloatArray:
-    """Find the joint angles nearest to `near` that bring lamp and camera to wi and wo.
+def solutions(
+    kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: str
+) -> list[FloatArray]:
+    """Find the joint angles that bring lamp and camera to wi and wo, the nearest to `near` first.
 
     Parameters
     ----------
@@ -50,7 +52,8 @@ def solve(kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArr
 
     Returns
     -------
-    ndarray, shape (J,)
+    list of ndarray, shape (J,)
+        At least one.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def solve(kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArr
         return _search(kinematics, wi, wo, near, where)
     ways = common.branches(wi, wo, near, kinematics.limits_rad)
     branches = _into_limits(kinematics, list(ways), near)
-    return _best(kinematics, branches, near, where)
+    return _by_travel(kinematics, branches, near, where)
 
 
 def beyond_limits(joint: Joint, angle_rad: float, where: str) -> Refused:
@@ -159,7 +162,9 @@ def _into_limits(
     ]
 
 
-def _best(kinematics: Kinematics, branches: list[_Branch], near: FloatArray, where: str) -> FloatArray:
+def _by_travel(
+    kinematics: Kinematics, branches: list[_Branch], near: FloatArray, where: str
+) -> list[FloatArray]:
     reachable = [branch for branch in branches if branch.beyond_rad == 0.0]
     if not reachable:
         least = min(branches, key=lambda branch: branch.beyond_rad)
@@ -170,13 +175,13 @@ def _best(kinematics: Kinematics, branches: list[_Branch], near: FloatArray, whe
         distances = np.abs(branch.angles - near)
         return round(float(distances.max()), 9), round(float(distances.sum()), 9)
 
-    return min(reachable, key=travel).angles
+    return [branch.angles for branch in sorted(reachable, key=travel)]
 
 
 def _search(
     kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: str
-) -> FloatArray:
-    """Find a pose of any open chains by descent from many starts at once."""
+) -> list[FloatArray]:
+    """Find poses of any open chains by descent from many starts at once."""
     low, high = kinematics.limits_rad.T
     # A fixed seed: the same pose always gets the same answer.
     random = np.random.default_rng(0).uniform(low, high, size=(_RANDOM_STARTS, low.size))
@@ -193,7 +198,7 @@ def _search(
             where=where,
             todo="choose a pose that the joints in the rig file can reach",
         )
-    return _best(kinematics, branches, near, where)
+    return _by_travel(kinematics, branches, near, where)
 
 
 def _descend(

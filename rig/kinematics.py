@@ -25,13 +25,13 @@ import numpy.typing as npt
 
 from rig.angles import FloatArray, direction_to_spherical, rotation, unit
 from rig.errors import BadInput, Refused
-from rig.inverse import beyond_limits, solve
+from rig.inverse import beyond_limits, solutions
 from rig.ticks import tick_rad
 
 if TYPE_CHECKING:
     from rig.description import Joint, Rig
 
-_CAMERA_AT_ZERO = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+CAMERA_AT_ZERO = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Columns: image right, image down, viewing direction of a camera whose joints are all at zero."""
 
 _Z = np.array([0.0, 0.0, 1.0])
@@ -104,7 +104,7 @@ class Kinematics:
         return Frames(
             light_mm=self.rig.lamp.distance_mm * (light @ _Z),
             camera_mm=self.rig.camera.distance_mm * (camera @ _Z),
-            camera_rotation=camera @ _CAMERA_AT_ZERO,
+            camera_rotation=camera @ CAMERA_AT_ZERO,
         )
 
     def turns(self, angles_rad: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -201,11 +201,30 @@ class Kinematics:
         Refused
             The pose is out of the machine's reach, or light and camera would be too close.
         """
+        return self.solutions(wi, wo, near)[0]
+
+    def solutions(
+        self, wi: npt.ArrayLike, wo: npt.ArrayLike, near: npt.ArrayLike | None = None
+    ) -> list[FloatArray]:
+        """Find all the joint angles that `solve` chooses from, the one with the least travel first.
+
+        A machine without a closed form may have more than are found.
+
+        Parameters
+        ----------
+        wi, wo, near
+            As in `solve`, which also says what is raised.
+
+        Returns
+        -------
+        list of ndarray, shape (J,)
+            At least one.
+        """
         wi, wo = _direction(wi, "wi"), _direction(wo, "wo")
         where = _name_pose(wi, wo)
         self._check_separation(wi, wo, where)
         start = self.park_rad if near is None else self._angles(near, axes=1)
-        return solve(self, wi, wo, start, where)
+        return solutions(self, wi, wo, start, where)
 
     def _check_separation(self, wi: FloatArray, wo: FloatArray, where: str) -> None:
         apart_deg = math.degrees(float(_angle_between(wi, wo)))
