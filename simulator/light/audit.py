@@ -1,7 +1,8 @@
 """What a laboratory asks about its light before it trusts a dark sample: which paths there are, and how much.
 
 `explain` tells what would be computed and what skipped, with bounds, and renders nothing. `stray_light`
-computes every path class by itself, each by the method that is quickest for it, and gives its share.
+computes every path class by itself and gives its share: in one render of all classes that are best followed
+from the camera, and by whatever method is quickest for each of the others.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
@@ -18,19 +20,24 @@ from simulator.light.choice import Chooser
 from simulator.light.classes import light_paths
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
+from simulator.light.path_classes import PathClasses, PathClassesMethod
 from simulator.light.scene import Scene, default_housing
 from simulator.materials import parse_material
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rig.description import Rig
-    from simulator.light.classes import PathClass
     from simulator.light.evaluator import Evaluator, Method
+    from simulator.light.path_tracer import Estimate
 
 Pose = tuple[float, ...]
 
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_FEWEST_RENDERS, _MOST_RENDERS = 4, 64
 _LOWEST = 0.1
 """Least height of lamp and camera over the sample's plane, in units of their distance."""
 
@@ -164,45 +171,88 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
         than one surface.
     """
     chooser = Chooser(mi, scene, tolerance, METHODS)
-    alone = [_alone(mi, scene, chooser, path_class, tolerance) for path_class in chooser.classes]
-    stray = np.array([bool(path_class.paths.with_events(2)) for path_class in chooser.classes])
+    classes = chooser.classes
+    means = [*_traced(mi, scene, chooser, tolerance), *_alone(mi, scene, chooser, tolerance)]
+    stray = np.array([bool(path_class.paths.with_events(2)) for path_class in classes])
     told = []
     for pose in poses:
-        found = np.array([_mean(mi, scene, one, pose, tolerance) for one in alone]).reshape(-1, 2)
+        found = np.full((len(classes), 2), np.nan)
+        seen = _seen(scene, pose)
+        for numbers, mean in means if seen.any() else ():
+            found[numbers] = mean(pose, seen)
         total = np.nansum(found[:, 0])
         shares = found[:, 0] / total if total > 0.0 else np.full(len(found), np.nan)
         told.append(
             {
                 "angles_deg": np.degrees(pose).tolist(),
                 "shares": shares.tolist(),
-                "errors": (shares * found[:, 1]).tolist(),
+                "errors": (found[:, 1] / total if total > 0.0 else shares).tolist(),
                 "stray": float(np.nansum(shares[stray])) if total > 0.0 else None,
             }
         )
-    names = [path_class.name for path_class in chooser.classes]
+    names = [path_class.name for path_class in classes]
     return {"paths": str(light_paths(scene)), "classes": names, "poses": told}
 
 
-def _alone(
-    mi: Any, scene: Scene, chooser: Chooser, path_class: PathClass, tolerance: float
-) -> tuple[Method, Evaluator] | None:
-    """Set the quickest method to work on one class; None if there is none."""
-    able = chooser.able(path_class)
-    if not able:
-        return None
-    vector = not mi.variant().startswith("scalar")
-    quickest = min(able, key=lambda method: method.seconds(scene, path_class.paths, tolerance, vector=vector))
-    return quickest, quickest.build(mi, scene, path_class.paths)
+_Means = tuple[list[int], "Callable[[Pose, Bools], Array]"]
+"""Numbers of classes, and what gives their mean radiances over pixels and the errors of those, (C, 2)."""
 
 
-def _mean(
-    mi: Any, scene: Scene, alone: tuple[Method, Evaluator] | None, pose: Pose, tolerance: float
-) -> tuple[float, float]:
-    """Mean radiance of a class over the sample's pixels, and its relative error; NaN where unknown."""
-    seen = pixel_geometry(scene.rig, pose).on_sample
-    if alone is None or not seen.any():
-        return np.nan, np.nan
-    method, evaluator = alone
-    rendering = evaluator.render(pose, tolerance)
-    error = rendering.error + method.leaves_out(mi, scene, pose)
-    return float(rendering.radiance[seen].mean()), error
+def _quickest(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> dict[int, Method]:
+    """Return the method that is quickest for each class by itself, by its number; none for some."""
+    vector, found = not mi.variant().startswith("scalar"), {}
+    for number, path_class in enumerate(chooser.classes):
+        able = chooser.able(path_class)
+        if able:
+            found[number] = min(
+                able, key=lambda method: method.seconds(scene, path_class.paths, tolerance, vector=vector)
+            )
+    return found
+
+
+def _traced(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> list[_Means]:
+    """Return the means of all classes that paths from the camera serve best: one render has them all."""
+    quickest = _quickest(mi, scene, chooser, tolerance)
+    numbers = [number for number, method in quickest.items() if isinstance(method, PathClassesMethod)]
+    if not numbers:
+        return []
+    classes = PathClasses(mi, scene, [chooser.classes[number].paths for number in numbers])
+
+    def mean(pose: Pose, seen: Bools) -> Array:
+        renders = _FEWEST_RENDERS
+        while True:
+            found = np.array([_mean_of(estimate, seen) for estimate in classes.estimates(pose, renders)])
+            if np.all(found[:, 1] <= tolerance * found[:, 0]) or renders >= _MOST_RENDERS:
+                return found
+            renders *= 2
+
+    return [(numbers, mean)]
+
+
+def _mean_of(estimate: Estimate, seen: Bools) -> tuple[float, float]:
+    """Mean over pixels and channels, and its standard error: pixels' noises are independent."""
+    noise = np.sqrt(np.mean(np.square(estimate.standard_error[seen].mean(axis=-1))) / np.count_nonzero(seen))
+    return float(estimate.mean[seen].mean()), float(noise)
+
+
+def _alone(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> list[_Means]:
+    """Return the means of classes that other methods serve best, each by itself."""
+    found = []
+    for number, method in _quickest(mi, scene, chooser, tolerance).items():
+        if isinstance(method, PathClassesMethod):
+            continue
+        evaluator = method.build(mi, scene, chooser.classes[number].paths)
+
+        def mean(pose: Pose, seen: Bools, *, method: Method = method, by: Evaluator = evaluator) -> Array:
+            rendering = by.render(pose, tolerance)
+            error = rendering.error + method.leaves_out(mi, scene, pose)
+            level = rendering.radiance[seen].mean()
+            return np.array([[level, level * error]])
+
+        found.append(([number], mean))
+    return found
+
+
+def _seen(scene: Scene, pose: Pose) -> Bools:
+    """Tell which pixels see the sample's disc."""
+    return pixel_geometry(scene.rig, pose).on_sample

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from simulator.light.direct import DirectFloat64, DirectMitsuba
+from simulator.light.path_classes import PathClassesMethod
 from simulator.light.path_tracer import PathTracing
 from simulator.light.photon_map import PhotonMapMethod
 from simulator.light.pixel_centres import PixelCentres
@@ -27,5 +28,6 @@ METHODS: tuple[Method, ...] = (
     PhotonMapMethod(),
     RadiosityMethod(),
     PathTracing(),
+    PathClassesMethod(),
 )
 """Every method; the order decides only between equals."""

@@ -16,20 +16,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import Refused
-from simulator.light.path_tracer import Estimate, PathLight
+from simulator.light.evaluator import Method
+from simulator.light.path_tracer import (
+    FEWEST,
+    NOISE_STRAY,
+    SMALL_LAMP,
+    Estimate,
+    PathLight,
+    camera_obstacle,
+    direct_noise,
+    renders_s,
+)
+from simulator.light.paths import LightPaths
 from simulator.light.scene import Event
 from simulator.sensor import derived_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from simulator.light.paths import LightPaths
     from simulator.light.scene import Scene
 
 Array = NDArray[np.float64]
 
 LONGEST = 6
 """Events after which a path ends, unless told otherwise."""
+_SAMPLES_PER_PIXEL = 16
+"""As a method, paths per pixel and render."""
+_MIRRORED_FIRST = LightPaths("LS+D(D|S)*E")
+TWO_WAYS = "the sample scatters light in two ways, which it does not tell apart"
 _CODES = {"Dl": 0, "Dg": 1, "S": 2}
 _LETTERS = len(_CODES)
 
@@ -52,7 +66,7 @@ class PathClasses(PathLight):
     Raises
     ------
     Refused
-        The variant is scalar, or two classes hold the same path.
+        The variant is scalar, two classes hold the same path, or the sample scatters in two ways.
     """
 
     def __init__(
@@ -67,8 +81,10 @@ class PathClasses(PathLight):
         if mi.variant().startswith("scalar"):
             raise Refused("path classes in a scalar variant", todo="use llvm")
         super().__init__(mi, scene, samples_per_pixel=samples_per_pixel)
+        letters = scattering_letters(scene)
+        if len(letters) > 1:
+            raise Refused(TWO_WAYS, where=scene.material.spec, todo="use path tracing")
         self._count = len(classes)
-        letters = [event for event in sorted(scene.events) if event is not Event.MIRROR]
         shapes = {shape.id(): shape for shape in self._scene.shapes()}
         self._integrator = _integrator_type(mi)(
             sample=shapes["sample"],
@@ -99,6 +115,9 @@ class PathClasses(PathLight):
         means, errors = images.mean(axis=0), images.std(axis=0, ddof=1) / np.sqrt(renders)
         return [Estimate(means[..., c, :], errors[..., c, :]) for c in range(self._count)]
 
+    def _render(self, seed: int) -> Array:
+        return np.asarray(self._classes(seed).sum(axis=2))
+
     def _classes(self, seed: int) -> Array:
         """One render, shape (height, width, classes, 3)."""
         image = np.asarray(
@@ -109,6 +128,61 @@ class PathClasses(PathLight):
         )
         # First come the channels of all paths together.
         return image[..., 3:].reshape(*image.shape[:2], self._count, 3)
+
+
+class PathClassesMethod(Method):
+    """The row of `PathClasses` in the table of methods: any short paths, told apart by their words."""
+
+    name = "path tracing by class"
+    covers = LightPaths("L(D|S)+E")
+    any_sample = True
+
+    def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:
+        """Say why it cannot; see `Method.obstacle`."""
+        if not vector:
+            return "it needs the LLVM variant"
+        if len(scattering_letters(scene)) > 1:
+            return TWO_WAYS
+        if paths & _MIRRORED_FIRST:
+            return SMALL_LAMP
+        if paths.with_events(LONGEST + 1):
+            return f"it keeps the words of paths of up to {LONGEST} events"
+        return camera_obstacle(scene)
+
+    def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
+        """Predict the time of a pose; see `Method.seconds`."""
+        return self._predicted(scene, paths, tolerance, direct_noise(None), vector=vector)
+
+    def seconds_at(
+        self,
+        mi: Any,
+        scene: Scene,
+        paths: LightPaths,
+        tolerance: float,
+        angles_rad: Sequence[float],
+        *,
+        vector: bool,
+    ) -> float:
+        """Predict the time of a certain pose; see `Method.seconds_at`."""
+        return self._predicted(scene, paths, tolerance, direct_noise((mi, scene, angles_rad)), vector=vector)
+
+    @staticmethod
+    def _predicted(
+        scene: Scene, paths: LightPaths, tolerance: float, direct: float, *, vector: bool
+    ) -> float:
+        noise = direct if paths <= LightPaths("LDE") else direct + NOISE_STRAY
+        renders = max((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, FEWEST)
+        longest = max(count for count in range(1, LONGEST + 1) if paths.with_events(count, count))
+        return renders_s(scene, renders, [longest], _SAMPLES_PER_PIXEL, vector=vector)
+
+    def build(self, mi: Any, scene: Scene, paths: LightPaths) -> PathClasses:
+        """Set it to work; see `Method.build`."""
+        return PathClasses(mi, scene, [paths], samples_per_pixel=_SAMPLES_PER_PIXEL)
+
+
+def scattering_letters(scene: Scene) -> list[Event]:
+    """Return the ways in which the sample scatters light, mirrors apart."""
+    return [event for event in sorted(scene.events) if event is not Event.MIRROR]
 
 
 def class_table(classes: Sequence[LightPaths], longest: int) -> NDArray[np.uint32]:

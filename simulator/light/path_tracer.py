@@ -35,10 +35,10 @@ Array = NDArray[np.float64]
 DEEPEST = 12
 """Events after which a path ends: a housing of albedo 0.5 has lost all but 1e-4 of the light by then."""
 
-_FEWEST, _MOST = 4, 64
+FEWEST, _MOST = 4, 64
 """Renders: as many as tell their own spread, and as many as a pose is worth."""
 _SAMPLES_PER_PIXEL = 16
-_NOISE_DIRECT, _NOISE_STRAY = 3e-3, 2.0
+_NOISE_DIRECT, NOISE_STRAY = 3e-3, 2.0
 """Noise of a pixel for one path, relative to the light itself: of direct light, and of all other."""
 _STRAY_SHARE = 0.1
 """Of a housing, over a/(1 - a): what its noise is to that of all light."""
@@ -105,7 +105,7 @@ class PathLight(Evaluator):
         inside = _inside(self._scene_data, angles_rad)
         total = np.zeros((*inside.shape, 3))
         squares = np.zeros_like(total)
-        count, wanted = 0, _FEWEST
+        count, wanted = 0, FEWEST
         error = math.inf
         while count < wanted:
             for number in range(count, wanted):
@@ -154,6 +154,38 @@ class PathLight(Evaluator):
         return np.asarray(image, dtype=np.float64)
 
 
+SMALL_LAMP = "it meets a small lamp in a mirror by chance, and knows no error where it does not"
+
+
+def camera_obstacle(scene: Scene) -> str | None:
+    """Say why light cannot be followed from the camera through Mitsuba, or None."""
+    if any(scene.rig.camera.distortion):
+        return "Mitsuba's camera cannot distort as this lens does"
+    if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
+        return "a mirror never shows a point"
+    return None if scene.rendered else NOT_RENDERED
+
+
+def direct_noise(pose: tuple[Any, Scene, Sequence[float]] | None) -> float:
+    """Noise of a pixel of direct light for one path, relative to it: of a pose, or of any."""
+    if pose is None or not pose[1].plain:
+        return _NOISE_DIRECT
+    mi, scene, angles_rad = pose
+    # What lamp, pixel and pupil do to the mean is of second order, what they do to one path of first.
+    return max(_NOISE_DIRECT, math.sqrt(pose_error(mi, scene, tuple(angles_rad))))
+
+
+def renders_s(
+    scene: Scene, renders: float, followed: Sequence[int], samples_per_pixel: int, *, vector: bool
+) -> float:
+    """Predict the time of renders of paths of so many events each."""
+    longest = DEEPEST if scene.housing else _OPEN_EVENTS
+    events = sum(min(events, longest) + 1.0 for events in followed)
+    pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+    each = pixels * samples_per_pixel * events * (_EVENT_S if vector else _SCALAR_EVENT_S)
+    return float(renders * (_RENDER_S * len(followed) + each))
+
+
 class PathTracing(Method):
     """Mitsuba's path tracer, for as many paths as the tolerance needs."""
 
@@ -163,21 +195,17 @@ class PathTracing(Method):
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""
-        if any(scene.rig.camera.distortion):
-            return "Mitsuba's camera cannot distort as this lens does"
-        if not scene.lamp_cosine and (scene.mirrors or Event.MIRROR in scene.events):
-            return "a mirror never shows a point"
-        if not scene.rendered:
-            return NOT_RENDERED
         if paths & LightPaths("LS+DE"):
-            return "it meets a small lamp in a mirror by chance, and knows no error where it does not"
+            return SMALL_LAMP
+        if (reason := camera_obstacle(scene)) is not None:
+            return reason
         if _events(scene, paths) is None:
             return "it tells paths apart by their number of events alone"
         return None
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of a pose; see `Method.seconds`."""
-        return self._predicted(scene, paths, tolerance, _NOISE_DIRECT, vector=vector)
+        return self._predicted(scene, paths, tolerance, direct_noise(None), vector=vector)
 
     def seconds_at(
         self,
@@ -190,9 +218,7 @@ class PathTracing(Method):
         vector: bool,
     ) -> float:
         """Predict the time of a certain pose: narrow lobes are noisy; see `Method.seconds_at`."""
-        # What lamp, pixel and pupil do to the mean is of second order, what they do to one path of first.
-        spread = math.sqrt(pose_error(mi, scene, tuple(angles_rad))) if scene.plain else 0.0
-        return self._predicted(scene, paths, tolerance, max(_NOISE_DIRECT, spread), vector=vector)
+        return self._predicted(scene, paths, tolerance, direct_noise((mi, scene, angles_rad)), vector=vector)
 
     @staticmethod
     def _predicted(
@@ -201,15 +227,11 @@ class PathTracing(Method):
         first, last = _events(scene, paths) or (1, DEEPEST)
         albedo = scene.housing.albedo if scene.housing else 0.0
         share = 1.0 if first > 1 else 0.0 if last == 1 else _STRAY_SHARE * albedo / (1.0 - albedo)
-        noise = direct + _NOISE_STRAY * share
+        noise = direct + NOISE_STRAY * share
         # As many as it would need, though it stops before: what it cannot reach is not cheap.
-        renders = max((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, _FEWEST)
+        renders = max((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, FEWEST)
         followed = [last, first - 1] if first > 1 else [last]
-        longest = DEEPEST if scene.housing else _OPEN_EVENTS
-        events = sum(min(events, longest) + 1.0 for events in followed)
-        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
-        each = pixels * _SAMPLES_PER_PIXEL * events * (_EVENT_S if vector else _SCALAR_EVENT_S)
-        return float(renders * (_RENDER_S * len(followed) + each))
+        return renders_s(scene, renders, followed, _SAMPLES_PER_PIXEL, vector=vector)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:
         """Set it to work; see `Method.build`."""

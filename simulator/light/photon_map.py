@@ -66,6 +66,8 @@ _TOGETHER = 1 << 21
 """Pairs of a pixel and a photon held at once."""
 _PHOTON_S, _SCALAR_PHOTON_S, _PIXEL_S, _SEARCH_S = 4e-6, 6e-5, 5e-5, 0.3
 """Time of a photon, vectorised or not, of a pixel, and of the search for lit parts of mirrors."""
+_SCATTERED = 50
+"""Photons of scattered light over those of the lamp's, for the same error: nearly all go elsewhere."""
 _ERROR_OF_ONE, _ORDER = 0.7, 2.5
 """Error of one photon, and the power of the error with which their number falls."""
 
@@ -289,7 +291,7 @@ class PhotonMapMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of one pose; see `Method`."""
-        starts = 1 + sum(bool(paths & kind) for kind in (_WALLS_FIRST - BOUNCED, paths - _WALLS_FIRST))
+        starts = 1 + _SCATTERED * bool(paths - BOUNCED)
         # As many as it would need, though it stops before: what it cannot reach is not cheap.
         photons = 2.0 * starts * max(_COUNTS[0], (_ERROR_OF_ONE / tolerance) ** _ORDER)
         each = (_PHOTON_S if vector else _SCALAR_PHOTON_S) + value_s(scene.material, vector=vector)
