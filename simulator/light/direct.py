@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 
 LOOKED_AT = 64
 """Rows and columns of pixels that the search looks at, evenly spread over the frame."""
+SLOPED_AT = 16
+"""Likewise where it is estimated how fast radiance changes with direction."""
 TOGETHER = 1 << 20
 """Pixels of all poses of one launch."""
 FLOAT64_NODE_S, MITSUBA_NODE_S, LAUNCHES_S = 2.5e-7, 6e-8, 3e-3
@@ -93,8 +95,8 @@ class DirectLight(Evaluator):
         self._extents = extents
         self._kinematics = Kinematics(rig)
         self._lens = lens_of(rig)
-        rows, cols = (_spread(size) for size in (rig.camera.height_px, rig.camera.width_px))
-        self._looked_at = self._lens[(rows[:, None] * rig.camera.width_px + cols).ravel()]
+        self._looked_at = self._lens[_spread(rig, LOOKED_AT)]
+        self._sloped_at = self._lens[_spread(rig, SLOPED_AT)]
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
         """Compute the radiance of a pose; see `Evaluator.render`."""
@@ -159,7 +161,7 @@ class DirectLight(Evaluator):
             for view, both in zip(views, steps_mm, strict=True)
             for step in (0.0 * both[0], *both)
         ]
-        values = self._nodes.radiance(moved, self._looked_at, _CENTRE).reshape(len(views), 3, -1)
+        values = self._nodes.radiance(moved, self._sloped_at, _CENTRE).reshape(len(views), 3, -1)
         slopes = np.sqrt(np.sum(np.square(values[:, 1:] - values[:, :1]), axis=(1, 2))) / _NUDGE
         count = np.sqrt(np.count_nonzero(values[:, 0], axis=1))
         mean = np.sum(np.abs(values[:, 0]), axis=1) / np.maximum(count, 1.0)
@@ -180,10 +182,14 @@ def predicted_s(scene: Scene, tolerance: float, node_s: float, centres: float = 
     return node_s * ((FEW_NODES if taken == 1.0 else 4.0 * taken + FEW_NODES) * looked_at + pixels * taken)
 
 
-def _spread(size: int) -> NDArray[np.intp]:
-    """Return up to `LOOKED_AT` places of a row of pixels, evenly spread."""
-    count = min(size, LOOKED_AT)
-    return ((np.arange(count) + 0.5) * size / count).astype(np.intp)
+def _spread(rig: Rig, most: int) -> NDArray[np.intp]:
+    """Return pixels in up to so many rows and columns, evenly spread."""
+    rows, cols = (
+        ((np.arange(count) + 0.5) * size / count).astype(np.intp)
+        for size in (rig.camera.height_px, rig.camera.width_px)
+        for count in [min(size, most)]
+    )
+    return (rows[:, None] * rig.camera.width_px + cols).ravel()
 
 
 class _DirectMethod(Method):

@@ -51,8 +51,9 @@ class Search:
         self._sizes: dict[Levels, float] = {}
         self._mean = 0.0
         self._count = 1
-        self.taken: frozenset[Levels] = frozenset()
-        self.wanted: tuple[Levels, ...] = (CENTRES,)
+        # Points have nothing to be searched.
+        self.taken: frozenset[Levels] = frozenset() if any(parts) else frozenset({CENTRES})
+        self.wanted: tuple[Levels, ...] = (CENTRES,) if any(parts) else ()
 
     @property
     def error(self) -> float:
