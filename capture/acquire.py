@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from capture.examine import Examiner
     from capture.journal import Journal
+    from capture.pause import Supervision
     from capture.policy import Patience
     from capture.steps import Messages
     from rig.arms import HeldPose
@@ -58,6 +59,8 @@ class Acquisition:
         Asked after each frame; true ends the plan there.
     visited : callable
         Told of each visit that is done.
+    supervision : Supervision
+        Looks at the levels, and pauses.
     patience : Patience
         How many poses in a row may be skipped.
     say : callable
@@ -74,6 +77,7 @@ class Acquisition:
     dark_count: int
     finishing: Callable[[], bool]
     visited: Callable[[Visit], None]
+    supervision: Supervision
     patience: Patience
     say: Callable[[str], None]
 
@@ -109,6 +113,8 @@ class Acquisition:
             if self.finishing():
                 break
             try:
+                if (yield from self.supervision.keep(visit.role)) and self.finishing():
+                    break
                 yield from self._visit(visit)
             except (GonioError, FailedStatus) as error:
                 cause = cause_of(error)
@@ -136,7 +142,12 @@ class Acquisition:
             yield from self._record()
             if self.finishing():
                 break
+            if (yield from self.supervision.keep(visit.role)):
+                if not self.finishing():
+                    yield from self._visit(*self.journal.visits(visit.number))
+                return
         if self._next_exposure(visit, history, previous) is None:
+            self.supervision.log(visit)
             self.journal.finish(visit.number, self._flags(visit, history))
             self.visited(visit)
 
@@ -195,6 +206,7 @@ class Acquisition:
         yield from plan_stubs.create(name=PRIMARY)
         yield from plan_stubs.read(self.arms)
         yield from plan_stubs.read(self.camera)
+        yield from plan_stubs.read(self.supervision.device)
         yield from plan_stubs.save()
 
 

@@ -13,7 +13,20 @@ if TYPE_CHECKING:
 SKIPPED = "skipped"
 """Kind of the event of a pose that could not be had."""
 
-INTERRUPTIONS = ("retry", SKIPPED, "moved", "withdrawn", "interrupted", "incomplete", "failed", "resumed")
+REFERENCE = "reference"
+"""Kind of the event of a comparison with a reference pose."""
+
+INTERRUPTIONS = (
+    "retry",
+    SKIPPED,
+    "paused",
+    "moved",
+    "withdrawn",
+    "interrupted",
+    "incomplete",
+    "failed",
+    "resumed",
+)
 """Kinds of event of which a person who judges the data should know, in the order of their weight."""
 
 

@@ -15,7 +15,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from capture.records import Event, Held, PlannedPose, PoseFlag, Role, Shot, ShotState, Visit
+from capture.journal_schema import ADDED, SCHEMA, SCHEMA_VERSION
+from capture.records import Event, Held, LevelsRecord, PlannedPose, PoseFlag, Role, Shot, ShotState, Visit
 from capture.statistics import FrameStatistics
 from rig.errors import BadInput, Refused
 
@@ -25,51 +26,6 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 Record = TypeVar("Record")
-
-SCHEMA_VERSION = 1
-
-_SCHEMA = f"""
-CREATE TABLE poses (
-    pose INTEGER PRIMARY KEY,
-    wi TEXT NOT NULL,
-    wo TEXT NOT NULL,
-    angles_rad TEXT,
-    refused TEXT,
-    CHECK ((angles_rad IS NULL) <> (refused IS NULL))
-);
-CREATE TABLE visits (
-    visit INTEGER PRIMARY KEY,
-    role TEXT NOT NULL CHECK (role IN ('white', 'sample', 'dark')),
-    pose INTEGER NOT NULL,
-    station TEXT,
-    angles_rad TEXT NOT NULL,
-    held_ticks TEXT,
-    held_rad TEXT,
-    flags INTEGER NOT NULL DEFAULT 0,
-    done INTEGER NOT NULL DEFAULT 0 CHECK (done IN (0, 1)),
-    UNIQUE (role, pose)
-);
-CREATE TABLE shots (
-    shot_id TEXT PRIMARY KEY,
-    visit INTEGER NOT NULL REFERENCES visits (visit),
-    frame INTEGER NOT NULL,
-    exposure_s REAL NOT NULL CHECK (exposure_s > 0),
-    lit INTEGER NOT NULL CHECK (lit IN (0, 1)),
-    state TEXT NOT NULL CHECK (state IN ('intent', 'filed', 'verified')),
-    path TEXT,
-    sha256 TEXT,
-    statistics TEXT,
-    time TEXT NOT NULL,
-    UNIQUE (visit, frame)
-);
-CREATE TABLE events (
-    event INTEGER PRIMARY KEY,
-    time TEXT NOT NULL,
-    kind TEXT NOT NULL,
-    detail TEXT NOT NULL
-);
-PRAGMA user_version = {SCHEMA_VERSION};
-"""
 
 
 class Journal:
@@ -105,6 +61,12 @@ class Journal:
                 where=str(path),
                 todo="use the gonio that wrote it",
             )
+        known = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master")}
+        self._has_levels = "levels" in known
+        if not read_only and not self._has_levels:
+            with self._change() as change:
+                change.execute(ADDED)
+            self._has_levels = True
 
     @classmethod
     def create(cls, path: Path, poses: Sequence[PlannedPose], visits: Sequence[Visit]) -> Journal:
@@ -118,7 +80,7 @@ class Journal:
         connection = _connect(path, "rwc")
         with contextlib.closing(connection), _one_line(path):
             connection.execute("PRAGMA journal_mode=WAL")
-            connection.executescript(_SCHEMA)
+            connection.executescript(SCHEMA)
         journal = cls(path)
         with journal._change() as change:
             change.executemany(
@@ -192,6 +154,28 @@ class Journal:
         return self._read(
             lambda moment, kind, detail: Event(moment, kind, json.loads(detail)),
             "SELECT time, kind, detail FROM events ORDER BY event",
+        )
+
+    def levels(self) -> list[LevelsRecord]:
+        """All levels logged, in order; none in a session from before they were."""
+        if not self._has_levels:
+            return []
+        return self._read(
+            lambda moment, visit, temperature, voltage, current, load, lamp_deg_c, output, drift: (
+                LevelsRecord(
+                    visit,
+                    _floats(temperature),
+                    _floats(voltage),
+                    tuple(json.loads(current)),
+                    _floats(load),
+                    lamp_deg_c,
+                    output,
+                    drift,
+                    moment,
+                )
+            ),
+            "SELECT time, visit, temperature_deg_c, voltage_v, current_ma, load, lamp_deg_c, lamp_output, "
+            "lamp_drift FROM levels ORDER BY level",
         )
 
     def camera(self) -> tuple[str | None, str | None] | None:
@@ -269,6 +253,25 @@ class Journal:
         """Record that all frames of a visit are hashed and checked."""
         with self._change() as change:
             change.execute("UPDATE visits SET flags = ?, done = 1 WHERE visit = ?", (int(flags), visit))
+
+    def log_levels(self, levels: LevelsRecord) -> None:
+        """Record the levels at the end of a visit."""
+        with self._change() as change:
+            change.execute(
+                "INSERT INTO levels (time, visit, temperature_deg_c, voltage_v, current_ma, load, "
+                "lamp_deg_c, lamp_output, lamp_drift) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    now(),
+                    levels.visit,
+                    _text(levels.temperature_deg_c),
+                    _text(levels.voltage_v),
+                    json.dumps(levels.current_ma),
+                    _text(levels.load),
+                    levels.lamp_deg_c,
+                    levels.lamp_output,
+                    levels.lamp_drift,
+                ),
+            )
 
     def note(self, kind: str, **detail: Any) -> None:
         """Record an event."""

@@ -1,4 +1,4 @@
-"""What a journal holds: planned poses, visits, shots, events.
+"""What a journal holds: planned poses, visits, shots, levels, events.
 
 The words are those of the journal's tables in `docs/session.md`.
 """
@@ -135,6 +135,39 @@ class Shot:
     path: str | None = None
     sha256: str | None = None
     statistics: FrameStatistics | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LevelsRecord:
+    """Levels at the end of a visit; those of the servos in the rig file's order.
+
+    Attributes
+    ----------
+    visit : int
+    temperature_deg_c, voltage_v : tuple of float
+    current_ma : tuple of float or None
+        None for a model that measures its load instead.
+    load : tuple of float
+        Share of the servo's limit.
+    lamp_deg_c : float or None
+        Temperature of the lamp's head.
+    lamp_output : float or None
+        Light of the last frame over what the lamp's level promises; None for darks.
+    lamp_drift : float or None
+        The same over that of the session's first pose.
+    time : str
+        Empty before it is logged.
+    """
+
+    visit: int
+    temperature_deg_c: tuple[float, ...]
+    voltage_v: tuple[float, ...]
+    current_ma: tuple[float | None, ...]
+    load: tuple[float, ...]
+    lamp_deg_c: float | None
+    lamp_output: float | None
+    lamp_drift: float | None
+    time: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from capture.interruptions import REFERENCE
 from capture.merge import Flag, merge
 from capture.raw import read_raw
 from capture.records import Held, PoseFlag, Role, ShotState
@@ -40,9 +41,6 @@ if TYPE_CHECKING:
     from capture.store import Store
     from rig.description import Rig
     from rig.devices import ArmsDevice, CameraDevice
-
-REFERENCE = "reference"
-"""Kind of the event of a comparison."""
 
 COVERAGE = 2.0
 """Standard uncertainties by which a step must exceed the tolerance to be refused."""

@@ -19,6 +19,7 @@ from capture.guards import require_disk, same_exposures, same_plan, same_rig
 from capture.interruptions import holes
 from capture.itinerary import lay_out
 from capture.journal import Journal
+from capture.pause import Supervision
 from capture.plan import Plan, load_plan
 from capture.policy import Patience
 from capture.records import Role, ShotState, Visit
@@ -34,7 +35,7 @@ from capture.steps import cause_of
 from capture.store import Store, create_session, require_free
 from capture.wishes import CaptureResult, Wishes
 from rig.description import Rig, load_rig
-from rig.devices import ArmsDevice, CameraDevice
+from rig.devices import ArmsDevice, CameraDevice, SupervisionDevice
 from rig.errors import GonioError, Refused
 from rig.machine import open_machine
 
@@ -204,9 +205,21 @@ class _Run:
         with (
             closing(ArmsDevice(self.machine)) as arms,
             closing(CameraDevice(self.machine)) as camera,
+            closing(SupervisionDevice(self.machine)) as levels,
             DocumentLog(self.folder / DOCUMENTS_FILE) as log,
         ):
             engine = make_engine(log, self._wait)
+            guard = self._reference(arms, camera)
+            supervision = Supervision(
+                rig=self.rig,
+                device=levels,
+                arms=arms,
+                darken=self.machine.darken,
+                guard=guard,
+                journal=self.journal,
+                finishing=lambda: self.wishes.controls.finish_requested,
+                say=self.wishes.say,
+            )
             for role in (Role.WHITE, Role.SAMPLE, Role.DARK):
                 if role is Role.DARK:
                     self._plan_darks()
@@ -214,10 +227,10 @@ class _Run:
                 if left and not self._mount(role):
                     return
                 if left and role is not Role.DARK and self._unguarded:
-                    engine(self._reference(arms, camera).check(role, "resumed"))
+                    engine(guard.check(role, "resumed"))
                     self._unguarded = False
                 if left:
-                    engine(self._acquisition(arms, camera).run(left, self._metadata(role)))
+                    engine(self._acquisition(arms, camera, supervision).run(left, self._metadata(role)))
                 if self.wishes.controls.finish_requested:
                     return
 
@@ -234,7 +247,7 @@ class _Run:
             say=self.wishes.say,
         )
 
-    def _acquisition(self, arms: ArmsDevice, camera: CameraDevice) -> Acquisition:
+    def _acquisition(self, arms: ArmsDevice, camera: CameraDevice, supervision: Supervision) -> Acquisition:
         asked = self.plan.exposure
         visits = self.journal.visits()
         darks_to_come = self.plan.darks.count and all(visit.role is not Role.DARK for visit in visits)
@@ -260,6 +273,7 @@ class _Run:
             dark_count=self.plan.darks.count,
             finishing=lambda: self.wishes.controls.finish_requested,
             visited=visited,
+            supervision=supervision,
             patience=self._patience,
             say=self.wishes.say,
         )

@@ -13,6 +13,7 @@ from analysis.fit import fit
 from analysis.models import DEFAULT_MODELS, MODELS
 from analysis.report import Measurement, ShownFrame
 from analysis.session_images import SessionImages
+from capture.interruptions import INTERRUPTIONS, REFERENCE, holes, interruptions
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -139,7 +140,32 @@ def session_facts(session: Session, samples: xr.Dataset) -> dict[str, str]:
         f"source {samples.attrs['source_solid_angle_sr']:.3g} sr, "
         f"receiver {samples.attrs['receiver_solid_angle_sr']:.3g} sr"
     )
+    facts |= interruption_facts(session)
     facts["SHA-256 of the frames"] = str(samples.attrs.get("frames_sha256", "not recorded"))
+    return facts
+
+
+def interruption_facts(session: Session) -> dict[str, str]:
+    """Say what did not go straight: interruptions, steps at reference poses, poses that are missing."""
+    counts = interruptions(session.journal)
+    told = [f"{INTERRUPTIONS[kind]}: {count}" for kind, count in counts.items()]
+    facts = {"Interruptions": ", ".join(told) or "none"}
+    steps = [
+        abs(ratio - 1.0)
+        for event in session.events()
+        if event.kind == REFERENCE
+        for ratio in event.detail["ratio"]
+    ]
+    if steps:
+        facts["Reference poses"] = (
+            f"shot again after interruptions, light within {max(steps):.2%} of what it was"
+        )
+    missing = [f"{hole.role} {hole.pose} ({hole.reason})" for hole in holes(session.journal)]
+    if missing:
+        facts["Missing poses"] = "; ".join(missing)
+    drifts = [abs(row.lamp_drift - 1.0) for row in session.journal.levels() if row.lamp_drift is not None]
+    if drifts:
+        facts["Lamp"] = f"within {max(drifts):.2%} of the first pose, by its monitor"
     return facts
 
 

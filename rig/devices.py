@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from rig.arms import HeldPose
     from rig.machine import Machine
+    from rig.supervision import Breach, Levels
 
 Reading = dict[str, dict[str, Any]]
 
@@ -264,6 +265,58 @@ class CameraDevice(_Device):
     def _shoot(self, shot: Shot) -> None:
         path = self._machine.shoot(shot.shot_id, shot.exposure_s, dark=shot.dark)
         self._last = (shot, path, self._machine.lamp_output, time.time())
+
+
+class SupervisionDevice(_Device):
+    """Levels of the machine: Triggerable, Readable.
+
+    Parameters
+    ----------
+    machine : Machine
+    name : str
+        Prefix of the readings.
+    """
+
+    def __init__(self, machine: Machine, name: str = "levels") -> None:
+        super().__init__(name)
+        self._machine = machine
+        self._time_s = time.time()
+        self.levels: Levels | None = None
+        """What the last trigger read."""
+
+    def trigger(self) -> Status:
+        """Start to read all levels."""
+        return self._start(self._look)
+
+    def breaches(self, after: Sequence[Breach] = ()) -> tuple[Breach, ...]:
+        """List the levels last read that are outside their bands; see `Supervisor.breaches`."""
+        servos = self.levels.servos if self.levels else ()
+        return self._machine.supervisor.breaches(servos, after)
+
+    def read(self) -> Reading:
+        """Levels last read; cached."""
+        if self.levels is None:
+            return {}
+        values: dict[str, Any] = {"lamp_deg_c": self.levels.lamp_deg_c}
+        for servo in self.levels.servos:
+            values |= {f"{servo.joint}_{name}": getattr(servo, name) for name in _SERVO_LEVELS}
+        return {
+            f"{self.name}_{key}": {"value": value, "timestamp": self._time_s} for key, value in values.items()
+        }
+
+    def describe(self) -> Reading:
+        """Shape and unit of each reading."""
+        units = {"lamp_deg_c": "deg C"}
+        for joint in self._machine.rig.joints:
+            units |= {f"{joint.name}_{name}": unit for name, unit in _SERVO_LEVELS.items()}
+        return {f"{self.name}_{key}": _key(key, "number", unit) for key, unit in units.items()}
+
+    def _look(self) -> None:
+        self.levels = self._machine.levels()
+        self._time_s = time.time()
+
+
+_SERVO_LEVELS = {"temperature_deg_c": "deg C", "voltage_v": "V", "load": ""}
 
 
 def _key(source: str, kind: str, unit: str) -> dict[str, Any]:

@@ -22,7 +22,9 @@ from rig.lamp import Lamp
 from rig.owner import PortOwner
 from rig.servos import Servos
 from rig.stop_report import PartStop, StopOutcome, StopReport
+from rig.supervision import Levels, Supervisor
 from rig.trigger import LampTrigger, Trigger, UsbTrigger
+from rig.watch import Watch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,6 +52,8 @@ class Machine:
     arms : Arms
     lamp : Lamp
     camera : HotFolder
+    supervisor : Supervisor
+        Bands of the levels.
     lamp_output : float
         Light of the last shot over what the lamp's level promises; NaN for a dark or unmeasured one.
     """
@@ -59,6 +63,9 @@ class Machine:
         self._stopped = threading.Event()
         self._stop_lock = threading.Lock()
         self._report: StopReport | None = None
+        self._cause: GonioError | None = None
+        self._at_work = 0
+        self._measures = inspect is not None
         self._warm = rig.lamp.warm_up_s == 0.0
         self._exits: list[Callable[[], None]] = []
         self._lamp: Lamp | None = None
@@ -103,6 +110,10 @@ class Machine:
         self.handshake: Handshake = servos.attach()
         self._servos = servos
         self.arms = Arms(rig, servos, self._stopped.is_set)
+        self.supervisor = Supervisor(rig, bus)
+        ids = [spec.servo_id for spec in specs]
+        watch = Watch(self.lamp, bus, ids, door_matters=self._door_matters, condemn=self.condemn)
+        self._exits.append(watch.close)
 
     def __enter__(self) -> Machine:
         return self
@@ -205,6 +216,32 @@ class Machine:
         self._require_running()
         return self._guarded(lambda: self._shoot(shot_id, exposure_s, dark=dark))
 
+    def levels(self) -> Levels:
+        """Read what is supervised.
+
+        Raises
+        ------
+        DeviceLost
+            If servos or lamp no longer answer; the machine is then stopped.
+        Refused
+            If the machine was stopped.
+        """
+        self._require_running()
+        return self._guarded(
+            lambda: Levels(self.supervisor.read(), self.lamp.temperature_deg_c(), self.lamp_output)
+        )
+
+    def darken(self) -> None:
+        """Switch the light off; the next lit shot warms the lamp up again.
+
+        Raises
+        ------
+        As `levels`.
+        """
+        self._require_running()
+        self._guarded(self.lamp.off)
+        self._warm = self.rig.lamp.warm_up_s == 0.0
+
     def stop(self) -> StopReport:
         """Stop everything: light off first, then every servo where it is; from any thread, on every way out.
 
@@ -217,6 +254,12 @@ class Machine:
             parts += _attempt("servos", servos.halt) if servos is not None else ()
             self._report = StopReport(parts)
             return self._report
+
+    def condemn(self, cause: GonioError) -> StopReport:
+        """Stop everything for a reason, which is then what every refusal says; the first reason stays."""
+        if self._cause is None and not self._stopped.is_set():
+            self._cause = cause
+        return self.stop()
 
     def close(self) -> None:
         """Release ports, lock file and threads; a second time does nothing."""
@@ -264,17 +307,30 @@ class Machine:
         self._warm = True
 
     def _guarded(self, action: Callable[[], T]) -> T:
+        self._at_work += 1
         try:
             return action()
-        except (DeviceLost, Unsafe):
-            self.stop()
+        except (DeviceLost, Unsafe) as error:
+            self.condemn(error)
             raise
         except GonioError:
             # A stop from another thread surfaces in this one as whatever it interrupted: say what it was.
             self._require_running()
             raise
+        finally:
+            self._at_work -= 1
+
+    def _door_matters(self) -> bool:
+        """Tell whether an open door is dangerous: there may be light, or arms move by themselves.
+
+        A machine without its camera is moved by a person who stands beside it; between two poses somebody may
+        have to change the sample.
+        """
+        return self.lamp.armed or (self._measures and self._at_work > 0)
 
     def _require_running(self) -> None:
+        if self._cause is not None:
+            raise self._cause
         if self._stopped.is_set():
             raise Refused("the machine was stopped", where=self.rig.name, todo="see why, then run again")
 

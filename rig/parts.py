@@ -82,7 +82,7 @@ class Joint(Part):
         1.0,
         gt=0,
         le=45,
-        description="where a one-sided approach begins, above 0 to 45 degrees from the goal, within limits_deg",
+        description="where a one-sided approach begins, above 0 to 45 degrees from the goal",
     )
 
 
@@ -201,7 +201,7 @@ class Clearance(Part):
 
 
 class Supervision(Part):
-    """Levels that are logged with every pose; one that leaves its band pauses the capture until it is back."""
+    """Levels that are logged with every pose; one out of its band pauses the capture until it is back."""
 
     temperature_margin_deg_c: float = Field(
         10.0,

@@ -53,6 +53,8 @@ class ModelInfo:
         One count of a current; None where `present_current` holds the load in 0.1 % instead.
     supply_v : float
         The recommended voltage.
+    input_v : tuple of float
+        Lowest and highest voltage that it is made for.
     firmware : int
         Lowest firmware version this table was checked against.
     defaults : mapping
@@ -76,6 +78,7 @@ class ModelInfo:
     acceleration_unit_rpm2: float = 214.577
     current_unit_ma: float | None = 2.69
     supply_v: float = 12.0
+    input_v: tuple[float, float] = (10.0, 14.8)
     firmware: int = 38
     defaults: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     lacks: frozenset[str] = frozenset()
@@ -118,6 +121,7 @@ MODELS: Mapping[str, ModelInfo] = MappingProxyType(
                 1.3,
                 current_unit_ma=None,
                 supply_v=11.1,
+                input_v=(6.5, 12.0),
                 defaults=_limits(velocity=265, p_gain=640)
                 | {
                     "temperature_limit": (72, 0, 100),

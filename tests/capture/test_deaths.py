@@ -97,6 +97,7 @@ def damaged(mortal: Mortal, capture_steps: tuple[Path, list[str]], twin: Twin) -
             )
             (session / str(lost.path)).unlink()
             with journal._change() as change:
+                change.execute("DROP TABLE levels")  # as in a session of the first version
                 change.execute("UPDATE visits SET held_ticks = '[1,2,3,4,5]', done = 0 WHERE visit = 1")
                 change.execute("UPDATE visits SET done = 0 WHERE visit IN (2, 3)")
                 change.execute("UPDATE shots SET state = 'filed', statistics = NULL WHERE visit IN (2, 3)")

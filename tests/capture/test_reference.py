@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.reference import REFERENCE, Step
+from capture.interruptions import REFERENCE
+from capture.reference import Step
 from capture.run import capture, resume
 from capture.session import Session, hash_file
 from capture.wishes import Wishes
