@@ -4,8 +4,10 @@ Pure, and fed from the journal alone: the statistics of verified frames of this 
 it at the same station. So a resumed session takes the frames that the interrupted one would have taken.
 
 A pose needs one frame when the prediction is right and the range of its brightness is small. A frame whose
-brightest part clips asks for a shorter one, a dark one for a longer one, and a dim part below the wanted
-signal-to-noise ratio for one longer frame. The variance of a count y above black is K y plus a floor (see
+brightest part clips asks for a shorter one, a dark one for a longer one. Where anything between the dim and
+the brightest part is seen below the wanted signal-to-noise ratio, the bracket that mends it in the fewest
+frames, or in the least time, is worked out (`capture.bracketing`), its shortest frame is taken, and the rest
+is worked out anew from what that shows. The variance of a count y above black is K y plus a floor (see
 `capture.sensor`).
 """
 
@@ -17,6 +19,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from capture.bracketing import Camera, Objective, Scene, plan_bracket
+from capture.clip import RAMP_START
 from capture.records import NO_FLAG, PoseFlag
 
 if TYPE_CHECKING:
@@ -115,11 +119,24 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a plan asks of exposures: signal-to-noise in the dim part, first time, frames at most."""
+    """What a plan asks of exposures.
+
+    Attributes
+    ----------
+    snr : float
+        Signal-to-noise ratio from the dim to the brightest part.
+    first_s : float
+        First exposure of a pass.
+    max_frames : int
+        For one pose.
+    objective : Objective
+        What is spared: frames, or time.
+    """
 
     snr: float
     first_s: float
     max_frames: int
+    objective: Objective = Objective.FRAMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +202,10 @@ class Chooser:
         flags = NO_FLAG
         if clear.statistics.brightness < self._enough(history, clear):
             flags |= PoseFlag.UNDER_RANGE
-        longest = max(history, key=lambda seen: seen.exposure_s)
-        reached_dn = clear.statistics.dim_dn * longest.exposure_s / clear.exposure_s
-        # A longer frame lands within a step of what was asked, and noise moves the percentile.
-        if self.noise.snr(reached_dn) < self.target.snr * 0.8:
+        low = clear.statistics.dim_dn / clear.exposure_s
+        reached = math.hypot(*(self.noise.snr(low * seen.exposure_s) for seen in history))
+        # Noise moves the percentile.
+        if reached < self.target.snr * 0.8:
             flags |= PoseFlag.NOISY
         return flags
 
@@ -215,15 +232,26 @@ class Chooser:
         return self._for_dim_part_s(history, clear)
 
     def _for_dim_part_s(self, history: Sequence[Observation], clear: Observation) -> float | None:
-        """One frame longer than all others, where the dim part needs it."""
-        if any(seen.exposure_s > clear.exposure_s for seen in history):
+        """Shortest frame that is still to be taken, where the range is not seen well enough."""
+        statistics = clear.statistics
+        range_dn = min(channel.range_dn for channel in statistics.channels)
+        high = min(statistics.brightness, RAMP_START) * range_dn / clear.exposure_s
+        unclipped = (each for each in history if each.statistics.dim_dn < RAMP_START * range_dn)
+        seen = max(unclipped, key=lambda each: each.exposure_s, default=clear)
+        low = max(seen.statistics.dim_dn, 1.0) / seen.exposure_s
+        if high <= 0.0:
             return None
-        dim_dn = clear.statistics.dim_dn
-        if self.noise.snr(dim_dn) >= self.target.snr:
+        plan = plan_bracket(
+            Scene(min(low, high), high, self.target.snr),
+            Camera(self.shutter, self.noise, range_dn),
+            self.target.objective,
+            taken_s=[each.exposure_s for each in history],
+            max_frames=self.target.max_frames - len(history),
+        )
+        if not plan.exposures_s:
             return None
-        step = min(self.noise.signal_dn(self.target.snr) / max(dim_dn, 1.0), LARGEST_STEP)
-        longer_s = self.shutter.at_most(clear.exposure_s * step * 2.0 ** (1.0 / self.shutter.steps_per_stop))
-        return longer_s if longer_s > clear.exposure_s else None
+        longest_s = max(each.exposure_s for each in history)
+        return self.shutter.at_most(min(plan.exposures_s[0], LARGEST_STEP * longest_s))
 
     def _enough(self, history: Sequence[Observation], clear: Observation) -> float:
         longer = any(

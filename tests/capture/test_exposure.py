@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from capture.bracketing import Camera, Objective, Scene
 from capture.exposure import ENOUGH, Chooser, Noise, Observation, Shutter, Target
 from capture.records import PoseFlag
 from capture.statistics import ChannelStatistics, FrameStatistics
@@ -22,6 +23,7 @@ NOISE = Noise(gain_dn_per_e=0.5, floor_dn2=2.3)
 SHUTTER = Shutter(1e-4, 60.0, 3)
 TARGET = Target(snr=30.0, first_s=0.02, max_frames=4)
 CHOOSER = Chooser(SHUTTER, TARGET, NOISE)
+CAMERA = Camera(SHUTTER, NOISE, RANGE_DN)
 
 
 def scene(
@@ -103,8 +105,7 @@ def test_the_dim_part_reaches_its_snr(bright: float, dim_ratio: float) -> None:
     """Would catch a dim part that stays noisy where a longer frame was possible."""
     dim = bright * dim_ratio
     frames = shoot(scene(bright, dim, 0.02), shoot(scene(bright, dim, 0.02)))
-    longest = max(frame.exposure_s for frame in frames)
-    reached = NOISE.snr(min(dim * longest, RANGE_DN))
+    reached = CAMERA.snr(dim, [frame.exposure_s for frame in frames])
     assert reached >= 0.8 * TARGET.snr or CHOOSER.flags(frames) & PoseFlag.NOISY
     if dim * 2.0 > NOISE.signal_dn(TARGET.snr) and dim_ratio > 0.05:
         assert not CHOOSER.flags(frames) & PoseFlag.NOISY
@@ -116,7 +117,19 @@ def test_a_wide_range_takes_a_short_and_a_long_frame() -> None:
     frames = shoot(scene(bright, dim), shoot(scene(bright, dim)))
     assert 2 <= len(frames) <= 3
     assert any(not frame.clipped and frame.statistics.brightness >= 0.1 for frame in frames)
-    assert any(NOISE.snr(dim * frame.exposure_s) >= TARGET.snr for frame in frames)
+    assert CAMERA.snr(dim, [frame.exposure_s for frame in frames]) >= TARGET.snr
+
+
+@pytest.mark.parametrize("objective", list(Objective))
+def test_five_decades_are_seen_without_a_gap(objective: Objective) -> None:
+    """Would catch a short and a long frame with a range between that neither sees well."""
+    chooser = Chooser(SHUTTER, Target(30.0, 0.02, 8, objective), NOISE)
+    bright, dim = 3e6, 30.0
+    frames = shoot(scene(bright, dim), shoot(scene(bright, dim), chooser=chooser), chooser)
+
+    assert len(frames) <= 5
+    assert CAMERA.worst_snr(Scene(dim, bright, 30.0), [frame.exposure_s for frame in frames]) >= 29.9
+    assert chooser.flags(frames) == 0
 
 
 def test_flags_at_the_ends_of_the_shutter() -> None:
