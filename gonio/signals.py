@@ -1,13 +1,17 @@
-"""Ctrl-C and SIGTERM while a machine runs: finish the frame, abort, stop.
+"""Ctrl-C, SIGTERM and a dead parent while a machine runs: finish the frame, abort, stop.
 
-The first Ctrl-C asks to finish what is under way, the second aborts at once, SIGTERM stops at once. A handler
-itself only notes what came; a thread that waited from the beginning does the stopping, because a handler
-interrupts the main thread anywhere, also while it holds the very lock that stopping needs.
+The first Ctrl-C asks to finish what is under way, the second aborts at once. SIGTERM stops at once, and so
+does the end of the program that started this one (a closed terminal, a killed script): nobody is there to see
+what happens. Whoever wants it to go on all the same says so as everywhere, with `nohup`.
+
+A handler itself only notes what came; a thread that waited from the beginning does the stopping, because a
+handler interrupts the main thread anywhere, also while it holds the very lock that stopping needs.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import signal
 import sys
@@ -19,6 +23,9 @@ if TYPE_CHECKING:
     from types import FrameType, TracebackType
 
 EXIT_CTRL_C, EXIT_SIGTERM = 130, 143
+
+PARENT_S = 0.2
+"""How often the parent is looked for."""
 
 JOIN_S = 30.0
 """How long leaving waits for a stop under way: as long as a stop with dead servos takes at worst."""
@@ -55,6 +62,7 @@ class StopRequests:
         self._previous: dict[int, Any] = {}
         self._notes: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # its put() may interrupt itself
         self._thread = threading.Thread(target=self._serve, name="signals", daemon=True)
+        self._left = threading.Event()
 
     def __enter__(self) -> StopRequests:
         self._thread.start()
@@ -62,13 +70,17 @@ class StopRequests:
         handled |= {"SIGHUP": self._terminate, "SIGBREAK": self._terminate}  # where the system has them
         for name, handler in handled.items():
             number = getattr(signal, name, None)
-            if number is not None:
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                 self._previous[number] = signal.signal(number, handler)
+        hang_up = getattr(signal, "SIGHUP", None)
+        if hang_up in self._previous:  # ignored: started by nohup, to outlive whoever started it
+            threading.Thread(target=self._watch_parent, args=(os.getppid(),), daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._left.set()
         self._notes.put(None)
         self._thread.join(JOIN_S)
         for number, handler in self._previous.items():
@@ -86,7 +98,7 @@ class StopRequests:
 
     @property
     def exit_code(self) -> int | None:
-        """130 after Ctrl-C, 143 after SIGTERM, None if nothing came."""
+        """130 after Ctrl-C, 143 after SIGTERM or the parent's end, None if nothing came."""
         return self._exit_code
 
     def on_abort(self, callback: Callable[[], object]) -> None:
@@ -107,9 +119,19 @@ class StopRequests:
             self._notes.put("aborting: light off, arms stopped")
 
     def _terminate(self, _number: int, _frame: FrameType | None) -> None:
+        self._stop_now("terminated")
+
+    def _watch_parent(self, parent: int) -> None:
+        """Stop when the system has given this program another parent: its own is gone."""
+        while not self._left.wait(PARENT_S):
+            if os.getppid() != parent:
+                self._stop_now("the program that started this one is gone")
+                return
+
+    def _stop_now(self, why: str) -> None:
         self._exit_code = EXIT_SIGTERM
         self._finish = self._abort = True
-        self._notes.put("terminated: light off, arms stopped")
+        self._notes.put(f"{why}: light off, arms stopped")
 
     def _serve(self) -> None:
         while (note := self._notes.get()) is not None:

@@ -25,7 +25,7 @@ REPLY_S = 1.0
 """Deadline of an answer."""
 
 LOCK_S = 0.25
-"""A stop does not wait longer than this for whoever is talking; it then speaks over him."""
+"""A stop, having told the light to go off, waits no longer than this for its turn to ask whether it did."""
 
 HEARTBEATS_PER_WATCHDOG = 4
 """More than three, so that one late beat does not put the light out."""
@@ -130,6 +130,11 @@ class Lamp:
         """Whether the continuous light is on."""
         return self._line.query("OUTP?") == "1"
 
+    @property
+    def armed(self) -> bool:
+        """Whether the light can be on: from before it is switched on until it has been read back as off."""
+        return self._heart is not None
+
     def on(self) -> None:
         """Switch the continuous light on, the watchdog armed before, and read it back.
 
@@ -170,9 +175,10 @@ class Lamp:
 
         If another thread is stuck in talk with the controller, OUTP OFF is written all the same.
         """
-        got = self._line.lock.acquire(timeout=LOCK_S)
+        got = False
         try:
-            self._line.send("OUTP OFF")
+            self._line.send("OUTP OFF")  # whoever is talking: a whole line between two of his
+            got = self._line.lock.acquire(timeout=LOCK_S)
             if not got:
                 return PartStop("lamp", StopOutcome.UNKNOWN, "off was sent, the answer is blocked")
             # Two lines, one question each: what the light does counts, not whether a command was liked.
