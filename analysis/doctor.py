@@ -72,7 +72,7 @@ class Diagnosis:
 
     @property
     def decided(self) -> bool:
-        """Whether the best is far enough ahead of the others, and not behind without the grazing samples."""
+        """Whether the best is far enough ahead of the others, and not as far behind without grazing ones."""
         return bool(self.ranked) and len(self.open) == 1
 
     @property
@@ -82,7 +82,7 @@ class Diagnosis:
 
     def _rivals(self, other: Ranked) -> bool:
         best = self.ranked[0]
-        if other.log_odds >= -DECIDED or other.log_odds_steep > best.log_odds_steep:
+        if other.log_odds >= -DECIDED or other.log_odds_steep >= best.log_odds_steep + DECIDED:
             return True
         light, view = (a - b for a, b in zip(best.reading.powers, other.reading.powers, strict=True))
         rises = best.reading.turned == other.reading.turned and light == view < 0

@@ -19,10 +19,15 @@ LARGEST_THETA = np.radians(85.0)
 SAME_RAD = np.radians(0.5)
 FEWEST_PAIRS = 10
 INCIDENCE_BIN_DEG = 5.0
+OWN = ("u_noise", "u_binning")
+"""Uncertainties that are independent from sample to sample."""
 
 
 class Usable(NamedTuple):
-    """Samples without flags: directions, values (N, C), uncertainties or None, and angles in radians."""
+    """Samples without flags: directions, values (N, C), uncertainties or None, and angles in radians.
+
+    `u` is all that is stated; `u_own` the part that is each sample's own, where the file tells it.
+    """
 
     wi: Array
     wo: Array
@@ -35,6 +40,7 @@ class Usable(NamedTuple):
     """Azimuth of view less that of the light, in (-pi, pi]."""
     row: Indices
     """Number of each sample in its file."""
+    u_own: Array | None = None
 
 
 class Pairs(NamedTuple):
@@ -51,7 +57,11 @@ def usable_samples(samples: xr.Dataset) -> Usable:
     wi, wo, f_r = (samples[name].to_numpy()[keep] for name in ("wi", "wo", "f_r"))
     stated = next((samples[name] for name in ("u_f_r", "u_repeatability") if name in samples), None)
     u = None if stated is None else stated.to_numpy()[keep]
-    return usable_from(wi, wo, f_r, u, np.flatnonzero(keep))
+    usable = usable_from(wi, wo, f_r, u, np.flatnonzero(keep))
+    own = [samples[name].to_numpy()[keep] for name in OWN if name in samples]
+    if not own and "u_f_r" in samples:
+        own = [samples["u_f_r"].to_numpy()[keep]]
+    return usable._replace(u_own=np.sqrt(sum(np.square(each) for each in own)) if own else None)
 
 
 def usable_from(

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 SHOWN_READINGS = 5
 LEGEND = (
     "log odds: natural logarithm, against the best; reciprocity: median difference of exchanged directions;",
+    "power: of cos(theta_i) / cos(theta_o) between neighbours of exchanged directions, 0 where reciprocal;",
     "off lobe: RMS of ln f about the best mixture of lobes, noise: about anything smooth; above: the horizon",
 )
 
@@ -24,6 +25,7 @@ def diagnosis_entry(diagnosis: Diagnosis) -> dict[str, Any]:
             "log_odds": each.log_odds,
             "above_horizon": each.above_horizon,
             "reciprocity": each.reciprocity,
+            "power": each.evidence.asymmetry.power,
             "lobe_rms": each.evidence.lobe_rms,
             "noise_rms": each.evidence.noise_rms,
         }
@@ -39,12 +41,13 @@ def diagnosis_entry(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def ranking(file: str, diagnosis: Diagnosis) -> list[str]:
     """Set the best readings for people, with what speaks for each, and what to do."""
-    head = f"  {'log odds':>9} {'reciprocity':>12} {'off lobe':>9} {'noise':>7} {'above':>6}  reading"
-    lines = [f"{file}: {diagnosis.words}", f"  from {diagnosis.count} samples", "", head]
+    columns = f"{'log odds':>9} {'reciprocity':>12} {'power':>6} {'off lobe':>9} {'noise':>7} {'above':>6}"
+    lines = [f"{file}: {diagnosis.words}", f"  from {diagnosis.count} samples", "", f"  {columns}  reading"]
     still_open = {each.reading for each in diagnosis.open}
     for each in diagnosis.ranked[:SHOWN_READINGS]:
         numbers = (
-            f"{each.log_odds:9.1f} {each.reciprocity:12.3f} {each.evidence.lobe_rms:9.2f} "
+            f"{each.log_odds:9.1f} {each.reciprocity:12.3f} "
+            f"{each.evidence.asymmetry.power:6.2f} {each.evidence.lobe_rms:9.2f} "
             f"{each.evidence.noise_rms:7.3f} {each.above_horizon:6.0%}"
         )
         also = f" (or {', '.join(r.name for r in each.group[1:3])})" if each.group[1:] else ""

@@ -11,8 +11,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analysis.checks.agreement import isotropy, levels, mirror_symmetry, noise, reciprocity, repeats
+from analysis.checks.azimuth import azimuth_offset
 from analysis.checks.finding import Finding, Verdict
 from analysis.checks.hemisphere import coverage, energy
+from analysis.checks.neighbours import outliers, overstated, surroundings
 from analysis.checks.values import clipped, missing, negatives
 from analysis.pairing import reciprocal_pairs, usable_samples
 
@@ -37,18 +39,22 @@ def check(samples: xr.Dataset) -> list[Finding]:
     """
     usable = usable_samples(samples)
     reciprocal = reciprocal_pairs(usable)
+    around = surroundings(usable)
     return [
         reciprocity(usable, reciprocal),
         levels(usable, reciprocal),
         energy(usable),
         mirror_symmetry(usable),
+        azimuth_offset(usable),
         isotropy(usable),
         *repeats(usable),
         missing(samples),
         negatives(usable),
         clipped(samples),
+        outliers(usable, around),
         coverage(usable),
         noise(usable, reciprocal),
+        overstated(usable, around),
     ]
 
 

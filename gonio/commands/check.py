@@ -2,9 +2,9 @@
 
 FILE is anything that gonio reads; its content tells the format. Each check gives a number, a threshold, a
 verdict (pass, warn, fail, or not tested, saying why), what it may mean and where to look: reciprocity, the
-levels of the incidences, energy with the coverage behind it, mirror symmetry, isotropy, duplicates,
-repeatability, missing values, negatives, clipped values, coverage, noise against the stated uncertainty, and
-conventions. The exit code is 3 if a check fails.
+levels of the incidences, energy with the coverage behind it, mirror symmetry, the azimuth's offset, isotropy,
+duplicates, repeatability, missing values, negatives, clipped values, outliers, coverage, noise against the
+stated uncertainty both ways, and conventions. The exit code is 3 if a check fails.
 
 Conventions: the file is read as degrees and radians, with zenith and azimuth or light and view exchanged,
 with the other sign or sense of angles, relative to the mirror direction, with and without a cosine; the
@@ -19,7 +19,8 @@ the file's log; --restore NUMBER takes one back. SELECT is numbers (3,10-20), ra
 
 The JSON object: files: [{file, samples, channels, verdict, checks: [{name, quantity, value, warn, fail,
 count, verdict, meaning, where, objects_to}], conventions: {decided, words, to_decide, readings: [{reading,
-words, same_as, log_odds, above_horizon, reciprocity, lobe_rms, noise_rms}]}, rejections: [...], doubts}]
+words, same_as, log_odds, above_horizon, reciprocity, power, lobe_rms, noise_rms}]}, rejections: [...],
+doubts}]
 """
 
 from __future__ import annotations

@@ -180,3 +180,68 @@ def test_the_published_cosine_is_found(shared_data, material):
     assert cured.value < 0.5 * published.value
     if "Glatt" not in material and "Stahl" not in material:
         assert cured.value < 0.102
+
+
+def _scan(random, noise=0.02, turn_deg=0.0):
+    """Return directions and values of a rough surface as an instrument scans it, with an azimuth's offset."""
+    theta_i, theta_o, phi = np.meshgrid(
+        np.radians([10.0, 30.0, 50.0, 70.0]), np.radians(np.arange(5.0, 81.0, 7.5)), np.arange(0.0, 6.2, 0.21)
+    )
+    wi = spherical_to_direction(theta_i.ravel(), np.full(theta_i.size, 0.3))
+    true = spherical_to_direction(theta_o.ravel(), phi.ravel())
+    seen = spherical_to_direction(theta_o.ravel(), phi.ravel() + np.radians(turn_deg))
+    return wi, seen, _value(wi, true) * (1.0 + noise * random.standard_normal(len(wi)))
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 5.0, -12.0])
+def test_an_offset_of_the_azimuth(turn_deg):
+    """Catches azimuths that count from beside the plane of incidence, and an alarm where they do not."""
+    wi, wo, value = _scan(np.random.default_rng(1), turn_deg=turn_deg)
+    finding = _found(make_samples(wi, wo, value), "azimuth offset")
+    assert finding.value == pytest.approx(abs(turn_deg), abs=1.0)
+    assert finding.verdict is (Verdict.WARN if turn_deg else Verdict.PASS)
+    if turn_deg:
+        assert f"turning views by {'-' if turn_deg > 0.0 else '+'}" in finding.where
+
+
+def test_an_offset_needs_both_sides():
+    """Catches an offset told of views on one side of the plane, or of a surface that looks the same from all."""
+    wi, wo, value = _scan(np.random.default_rng(1))
+    one = np.cross(wi, wo)[:, 2] > 0.0
+    half = _found(make_samples(wi[one], wo[one], value[one]), "azimuth offset")
+    assert half.verdict is Verdict.NOT_TESTED
+    assert "one side" in half.meaning
+    flat = make_samples(wi, wo, np.full(len(wi), 0.2))
+    assert _found(flat, "azimuth offset").verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.05])
+def test_outliers_are_named(factor):
+    """Catches a digit that was lost in few rows, which medians do not show."""
+    random = np.random.default_rng(2)
+    wi, wo, value = _scan(random)
+    assert _found(make_samples(wi, wo, value), "outliers").verdict is Verdict.PASS
+    wrong = random.choice(np.flatnonzero(wo[:, 2] > 0.3), 5, replace=False)
+    value[wrong] *= factor
+    finding = _found(make_samples(wi, wo, value), "outliers")
+    assert finding.verdict is Verdict.WARN
+    np.testing.assert_array_equal(finding.samples, np.sort(wrong))
+    assert re.search(r"\d times too (large|small)", finding.where)
+
+
+def test_a_narrow_peak_is_no_outlier():
+    """Catches a mirror's peak, one sample wide at each incidence, that is called wrong."""
+    wi, wo, value = _scan(np.random.default_rng(3))
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=1, keepdims=True)
+    peaked = value * (1.0 + 30.0 * np.exp(-((np.arccos(np.minimum(half[:, 2], 1.0)) / 0.06) ** 2)))
+    assert _found(make_samples(wi, wo, peaked), "outliers").verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize(("times", "verdict"), [(0.1, "pass"), (1.0, "pass"), (10.0, "warn")])
+def test_an_uncertainty_that_is_too_large(times, verdict):
+    """Catches ten times the noise that passes for caution, and an alarm where the statement is right."""
+    wi, wo, value = _scan(np.random.default_rng(4))
+    finding = _found(make_samples(wi, wo, value, u_f_r=times * 0.02 * value), "overstated noise")
+    assert finding.verdict.value == verdict
+    own = make_samples(wi, wo, value, u_noise=0.02 * value, u_reference=0.2 * value)
+    assert _found(own, "overstated noise").verdict is Verdict.PASS
