@@ -3,7 +3,9 @@
 At each tolerance every scene is rendered as the chooser decides, and in every other way that might be
 quicker: all divisions of its light among methods, all that could be skipped. Errors are those against
 `benchmarks.light_truth`. A way is right if its error is within the tolerance, by luck or by merit. Times are
-processor times of one pose, its kernels compiled; that of the decision is told by itself.
+processor times of one pose, its kernels compiled. A decision is paid as a session pays it, which asks for
+many poses of a scene at once; what a pose costs that is decided alone, and what a scene costs before its
+first one, is told besides.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ TOLERANCES = (1e-2, 1e-3)
 SHARE_TARGET, TWICE = 0.95, 2.0
 WORTH_A_LOOK = 2.0
 """Ways whose predicted time is above this multiple of the choice's are not tried: they are not quicker."""
-REPEATS, LONG_S = 2, 0.1
+REPEATS, LONG_S = 3, 0.1
+SESSION = 64
+"""Poses that are decided at once."""
 SMALLEST = 1e-6
 """Errors below are drawn here."""
 
@@ -69,8 +73,8 @@ class Judged:
     reached : bool
         Whether the decision promises the tolerance.
     chosen : Way
-    deciding_s : float
-        Time of the decision.
+    deciding_s, alone_s, scene_s : float
+        Time of a decision: of one pose among many, of one by itself, and of what a scene needs before.
     others : list of Way
     """
 
@@ -79,6 +83,8 @@ class Judged:
     reached: bool
     chosen: Way
     deciding_s: float
+    alone_s: float
+    scene_s: float
     others: list[Way]
 
     @property
@@ -91,6 +97,11 @@ class Judged:
     def with_deciding(self) -> float:
         """The same, with the time of the decision on one side."""
         return self.slower_by * (1.0 + self.deciding_s / self.chosen.seconds)
+
+    @property
+    def with_deciding_alone(self) -> float:
+        """The same, if each pose is decided by itself."""
+        return self.slower_by * (1.0 + self.alone_s / self.chosen.seconds)
 
 
 @dataclass(eq=False)
@@ -126,22 +137,28 @@ class Renderings:
 
 def judge(mi: Any, drawn: Drawn, truth: Truth, tolerance: float) -> Judged:
     """Hold the choice for one scene against all other ways."""
-    chooser, renderings = Chooser(mi, drawn.scene, tolerance, METHODS), Renderings(mi, drawn)
+    renderings = Renderings(mi, drawn)
+    begin = time.process_time()
+    chooser = Chooser(mi, drawn.scene, tolerance, METHODS)
     decision = chooser.decide(drawn.pose)
-    times = []
+    scene_s = time.process_time() - begin
+    deciding, alone = [], []
     for step in range(1, REPEATS + 1):
-        # Another pose each time: nothing that is kept of the last one helps.
-        nearby = tuple(angle + 1e-7 * step * tolerance for angle in drawn.pose)
+        # Other poses each time: nothing that is kept of the last ones helps.
+        nearby = [tuple(angle + 1e-7 * (step + k) for angle in drawn.pose) for k in 10 * np.arange(SESSION)]
         begin = time.process_time()
-        chooser.decide(nearby)
-        times.append(time.process_time() - begin)
+        chooser.decide_many(nearby[1:])
+        between = time.process_time()
+        chooser.decide(nearby[0])
+        alone.append(time.process_time() - between)
+        deciding.append((between - begin) / (SESSION - 1))
     chosen = renderings.way(decision.parts, truth)
     others = [
         renderings.way(parts, truth)
         for parts in chooser.ways(drawn.pose)
         if sum(part.seconds for part in parts) < WORTH_A_LOOK * max(chosen.seconds, chosen.predicted_s)
     ]
-    return Judged(drawn, tolerance, decision.reached, chosen, min(times), others)
+    return Judged(drawn, tolerance, decision.reached, chosen, min(deciding), min(alone), scene_s, others)
 
 
 def study(mi: Any, count: int = SCENES, seed: int = SEED) -> tuple[list[Judged], list[Drawn]]:
@@ -194,8 +211,9 @@ def _rows(judged: Sequence[Judged], tolerance: float) -> list[dict[str, Any]]:
     those = [one for one in judged if one.tolerance == tolerance]
     worst = max(those, key=lambda one: one.chosen.error)
     slowest = max(those, key=lambda one: one.slower_by)
-    slower, deciding = (
-        np.array([getattr(one, key) for one in those]) for key in ("slower_by", "with_deciding")
+    slower, deciding, alone = (
+        np.array([getattr(one, key) for one in those])
+        for key in ("slower_by", "with_deciding", "with_deciding_alone")
     )
     ratios = [one.chosen.predicted_s / one.chosen.seconds for one in those]
     label = f"{len(those)} scenes, tolerance {tolerance:g}"
@@ -217,9 +235,17 @@ def _rows(judged: Sequence[Judged], tolerance: float) -> list[dict[str, Any]]:
             SHARE_TARGET,
             at_least=True,
         ),
+        row(f"{label}: the same, if each pose is decided by itself", np.mean(alone <= TWICE)),
         row(f"{label}: time over the quickest right way's, median", np.median(slower), "x"),
         row(f"{label}: the same, worst ({slowest.drawn.label})", slower.max(), "x"),
-        row(f"{label}: time of a decision, median", 1e3 * np.median([o.deciding_s for o in those]), "ms"),
+        *(
+            row(f"{label}: time of a decision, {what}, median", 1e3 * np.median(times), "ms")
+            for what, times in (
+                (f"one of {SESSION} poses", [one.deciding_s for one in those]),
+                ("by itself", [one.alone_s for one in those]),
+                ("the first of a scene", [one.scene_s for one in those]),
+            )
+        ),
         row(f"{label}: predicted over measured time, lowest tenth", np.quantile(ratios, 0.1), "x"),
         row(f"{label}: predicted over measured time, highest tenth", np.quantile(ratios, 0.9), "x"),
     ]

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -127,7 +128,7 @@ class Chooser:
             number: tuple(method for method in methods if path_class.paths <= method.covers)
             for number, path_class in enumerate(self._shares.classes)
         }
-        self._divided: dict[tuple[int, ...], tuple[dict[Method, tuple[int, ...]], ...]] = {}
+        self._divided: dict[tuple[int, ...], tuple[tuple[float, dict[Method, tuple[int, ...]]], ...]] = {}
         self._obstacles: dict[tuple[Method, tuple[int, ...]], str | None] = {}
         self._unions: dict[tuple[int, ...], LightPaths] = {}
 
@@ -192,20 +193,28 @@ class Chooser:
     def _decided(self, angles_rad: tuple[float, ...], bounds: tuple[float, ...]) -> Decision:
         asked = _Asked(self._mi, self._scene, angles_rad, vector=self._vector)
         classes = self._shares.classes
-        best: tuple[tuple[bool, float, float], tuple[Part, ...], tuple[int, ...]] | None = None
-        for skipped, spent, parts in self._ways(bounds, MOST_SKIPPED * self._tolerance, asked):
-            missed = spent + sum(part.leaves_out for part in parts) > self._tolerance
-            cost = sum(part.leaves_out for part in parts) if missed else sum(p.seconds for p in parts)
+        best: tuple[tuple[bool, float, float], Sequence[_Task], tuple[int, ...]] | None = None
+        for way in self._ways(bounds, MOST_SKIPPED * self._tolerance):
+            dearest = best[0][1] if best is not None and not best[0][0] else np.inf
+            if way.least_s > dearest:
+                continue
+            tasks = self._tasks(way, bounds, asked, dearest)
+            if tasks is None:
+                continue
+            left_out = sum(task.leaves_out for task in tasks)
+            missed = way.spent + left_out > self._tolerance
             # Of what costs the same, that which leaves out least.
-            if best is None or (missed, cost, spent) < best[0]:
-                best = (missed, cost, spent), parts, skipped
+            rank = missed, left_out if missed else sum(task.seconds for task in tasks), way.spent
+            if best is None or rank < best[0]:
+                best = rank, tasks, way.skipped
         if best is None:
             raise Refused(
                 f"no method computes the light paths {self._unable()}",
                 where=self._scene.material.spec,
                 todo="simplify the scene, or allow a larger error",
             )
-        return Decision(classes, bounds, best[1], tuple(classes[n] for n in best[2]), self._tolerance)
+        skipped = tuple(classes[n] for n in best[2])
+        return Decision(classes, bounds, self._parts(best[1]), skipped, self._tolerance)
 
     def ways(self, angles_rad: Sequence[float]) -> Iterator[tuple[Part, ...]]:
         """Yield every way to compute a pose, those too that skip more than may be.
@@ -217,13 +226,12 @@ class Chooser:
         """
         pose = tuple(float(angle) for angle in angles_rad)
         asked = _Asked(self._mi, self._scene, pose, vector=self._vector)
-        for _, _, parts in self._ways(self._shares.bounds([pose])[0], np.inf, asked):
-            yield parts
+        bounds = self._shares.bounds([pose])[0]
+        for way in self._ways(bounds, np.inf):
+            yield self._parts(self._tasks(way, bounds, asked, np.inf) or ())
 
-    def _ways(
-        self, bounds: Sequence[float], most: float, asked: _Asked
-    ) -> Iterator[tuple[tuple[int, ...], float, tuple[Part, ...]]]:
-        """Yield what is skipped, the sum of its bounds, and who computes the rest."""
+    def _ways(self, bounds: Sequence[float], most: float) -> Iterator[_Way]:
+        """Yield what may be skipped, and who can compute the rest."""
         order = sorted(range(len(bounds)), key=lambda number: (bounds[number], -number))
         for count in reversed(range(len(order))):
             spent = sum(bounds[number] for number in order[:count])
@@ -231,23 +239,29 @@ class Chooser:
                 continue
             skipped = tuple(sorted(order[:count]))
             kept = tuple(number for number in range(len(bounds)) if number not in skipped)
-            left = max(self._tolerance - spent, (1.0 - MOST_SKIPPED) * self._tolerance)
-            for division in self._divisions(kept):
-                yield skipped, spent, self._parts(division, left, bounds, asked)
+            for least_s, division in self._divisions(kept):
+                yield _Way(skipped, spent, division, least_s)
 
-    def _divisions(self, kept: tuple[int, ...]) -> tuple[dict[Method, tuple[int, ...]], ...]:
-        """Every way to divide classes among methods that can compute their parts exactly."""
+    def _divisions(self, kept: tuple[int, ...]) -> tuple[tuple[float, dict[Method, tuple[int, ...]]], ...]:
+        """Every way to divide classes among methods that can compute their parts exactly, cheapest first.
+
+        With the least time that each can take: that of the roughest picture.
+        """
         if kept not in self._divided:
             alike: dict[tuple[Method, ...], tuple[int, ...]] = {}
             for number in kept:
                 able = self._able[number]
                 alike[able] = (*alike.get(able, ()), number)
-            self._divided[kept] = tuple(
-                division
+            found = [
+                (sum(self._least_s(method, numbers) for method, numbers in division.items()), division)
                 for chosen in product(*alike)
                 if self._possible(division := _by_method(chosen, tuple(alike.values())))
-            )
+            ]
+            self._divided[kept] = tuple(sorted(found, key=itemgetter(0)))
         return self._divided[kept]
+
+    def _least_s(self, method: Method, numbers: tuple[int, ...]) -> float:
+        return method.seconds(self._scene, self._union(numbers), _ROUGHEST, vector=self._vector)
 
     def _possible(self, division: Mapping[Method, tuple[int, ...]]) -> bool:
         return all(self._obstacle(method, numbers) is None for method, numbers in division.items())
@@ -269,24 +283,39 @@ class Chooser:
             self._unions[numbers] = paths
         return self._unions[numbers]
 
-    def _parts(
-        self,
-        division: Mapping[Method, tuple[int, ...]],
-        left: float,
-        bounds: Sequence[float],
-        asked: _Asked,
-    ) -> tuple[Part, ...]:
-        """Ask each method for its part of what is left; light that is little may be rough."""
-        parts = []
-        for method, numbers in division.items():
-            paths, missing = self._union(numbers), asked.left_out(method)
-            allowed = max(left / len(division) - missing, _LEAST * self._tolerance)
-            share = min(1.0, sum(bounds[number] for number in numbers))
+    def _tasks(
+        self, way: _Way, bounds: Sequence[float], asked: _Asked, dearest: float
+    ) -> Sequence[_Task] | None:
+        """Ask each method for its part of what is left; light that is little may be rough.
+
+        None if all together would take longer than the dearest that is still looked for.
+        """
+        left = max(self._tolerance - way.spent, (1.0 - MOST_SKIPPED) * self._tolerance)
+        tasks, total = [], 0.0
+        for method, numbers in way.division.items():
+            missing = asked.left_out(method)
+            allowed = max(left / len(way.division) - missing, _LEAST * self._tolerance)
+            share = min(1.0, sum([bounds[number] for number in numbers]))
             tolerance = allowed / max(share, allowed / _ROUGHEST)
-            seconds = asked.seconds(method, numbers, paths, tolerance)
-            classes = tuple(self._shares.classes[number] for number in numbers)
-            parts.append(Part(method, classes, paths, seconds, tolerance, missing))
-        return tuple(parts)
+            seconds = asked.seconds(method, numbers, self._union(numbers), tolerance)
+            total += seconds
+            if total > dearest:
+                return None
+            tasks.append(_Task(method, numbers, seconds, tolerance, missing))
+        return tasks
+
+    def _parts(self, tasks: Sequence[_Task]) -> tuple[Part, ...]:
+        return tuple(
+            Part(
+                task.method,
+                tuple(self._shares.classes[number] for number in task.numbers),
+                self._union(task.numbers),
+                task.seconds,
+                task.tolerance,
+                task.leaves_out,
+            )
+            for task in tasks
+        )
 
     def _unable(self) -> str:
         """Name paths and what stands in the way of each method."""
@@ -296,6 +325,25 @@ class Chooser:
         reasons = {m.name: self._obstacle(m, numbers) for m in everywhere}
         told = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
         return f"{names} ({told})" if told else names
+
+
+class _Way(NamedTuple):
+    """What is skipped, by number, the sum of its bounds, and who computes the rest, in what time at least."""
+
+    skipped: tuple[int, ...]
+    spent: float
+    division: Mapping[Method, tuple[int, ...]]
+    least_s: float
+
+
+class _Task(NamedTuple):
+    """What one method would do: as `Part`, its classes by number."""
+
+    method: Method
+    numbers: tuple[int, ...]
+    seconds: float
+    tolerance: float
+    leaves_out: float
 
 
 _LEAST = 0.05

@@ -28,6 +28,8 @@ _FOOTPRINT = ((0.0, 0.0), *((v, u) for v in (-_GAUSS, _GAUSS) for u in (-_GAUSS,
 """A pixel's centre, and Gauss's four nodes of its footprint: (down, right)."""
 _DISC = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]) / 2.0
 """Equal-weight nodes on the unit disc, exact for polynomials of degree 3."""
+_TOGETHER = 16
+"""Poses that are looked at in one go, so that their places stay near the processor."""
 _REMEMBERED = 4096
 """Poses of a scene whose errors are kept: several methods leave out the same, and ask one after another."""
 
@@ -68,8 +70,11 @@ def pose_errors(mi: Any, scene: Scene, poses_rad: Iterable[Pose]) -> list[float]
         if len(known) + len(new) > _REMEMBERED:
             known.clear()
             new = list(dict.fromkeys(asked))
-        errors = point_errors(scene, material_reflectance(mi, scene.material), new)
-        known |= {(mi, pose): float(error) for pose, error in zip(new, errors, strict=True)}
+        reflectance = material_reflectance(mi, scene.material)
+        for first in range(0, len(new), _TOGETHER):
+            part = new[first : first + _TOGETHER]
+            errors = point_errors(scene, reflectance, part)
+            known |= {(mi, pose): float(error) for pose, error in zip(part, errors, strict=True)}
     return [known[mi, pose] for pose in asked]
 
 

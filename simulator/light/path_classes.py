@@ -9,7 +9,7 @@ Monte Carlo rendering", section 3.3). All classes come from the same paths: thei
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -136,6 +136,7 @@ class PathClassesMethod(Method):
     name = "path tracing by class"
     covers = LightPaths("L(D|S)+E")
     any_sample = True
+    among_solids = True
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:
         """Say why it cannot; see `Method.obstacle`."""
@@ -170,14 +171,19 @@ class PathClassesMethod(Method):
     def _predicted(
         scene: Scene, paths: LightPaths, tolerance: float, direct: float, *, vector: bool
     ) -> float:
-        noise = direct if paths <= LightPaths("LDE") else direct + NOISE_STRAY
+        longest = _most_events(paths)
+        noise = direct if longest == 1 else direct + NOISE_STRAY
         renders = max((noise / tolerance) ** 2 / _SAMPLES_PER_PIXEL, FEWEST)
-        longest = max(count for count in range(1, LONGEST + 1) if paths.with_events(count, count))
         return renders_s(scene, renders, [longest], _SAMPLES_PER_PIXEL, vector=vector)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> PathClasses:
         """Set it to work; see `Method.build`."""
         return PathClasses(mi, scene, [paths], samples_per_pixel=_SAMPLES_PER_PIXEL)
+
+
+@lru_cache(maxsize=256)
+def _most_events(paths: LightPaths) -> int:
+    return max(count for count in range(1, LONGEST + 1) if paths.with_events(count, count))
 
 
 def scattering_letters(scene: Scene) -> list[Event]:

@@ -13,6 +13,7 @@ chosen where both together are least, and photons are added until they are withi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -273,6 +274,12 @@ def _widest_pixel_mm(pixels: PixelGeometry) -> float:
 BOUNCED, _WALLS_FIRST = LightPaths("LS+DE"), LightPaths("LD?S+DE")
 
 
+@lru_cache(maxsize=256)
+def _scatters_before(paths: LightPaths) -> bool:
+    """Tell whether light of some paths is scattered before it meets a mirror."""
+    return bool(paths - BOUNCED)
+
+
 class PhotonMapMethod(Method):
     """The row of `PhotonMap` in the table of methods."""
 
@@ -291,7 +298,7 @@ class PhotonMapMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:
         """Predict the time of one pose; see `Method`."""
-        starts = 1 + _SCATTERED * bool(paths - BOUNCED)
+        starts = 1 + _SCATTERED * _scatters_before(paths)
         # As many as it would need, though it stops before: what it cannot reach is not cheap.
         photons = 2.0 * starts * max(_COUNTS[0], (_ERROR_OF_ONE / tolerance) ** _ORDER)
         each = (_PHOTON_S if vector else _SCALAR_PHOTON_S) + value_s(scene.material, vector=vector)
