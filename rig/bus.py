@@ -172,7 +172,13 @@ class ServoBus:
         self._ask(lambda wire: wire.reboot(servo_id), servo_id, "reboot")
 
     def sync_read(
-        self, servo_ids: Sequence[int], names: Sequence[str], *, partial: bool = False, urgent: bool = False
+        self,
+        servo_ids: Sequence[int],
+        names: Sequence[str],
+        *,
+        partial: bool = False,
+        urgent: bool = False,
+        retries: int | None = None,
     ) -> dict[int, State]:
         """Read the same registers of several servos in one request.
 
@@ -185,6 +191,8 @@ class ServoBus:
             Leave out who does not answer, instead of raising.
         urgent : bool
             Before every request that waits and is not urgent.
+        retries : int, optional
+            How often who does not answer is asked again; as usual by default.
 
         Raises
         ------
@@ -194,7 +202,10 @@ class ServoBus:
         registers = [CONTROL_TABLE[name] for name in names]
         start = min(register.address for register in registers)
         length = max(register.end for register in registers) - start
-        replies = self._submit(lambda wire: self._read_all(wire, servo_ids, start, length), urgent=urgent)
+        again = self.retries if retries is None else retries
+        replies = self._submit(
+            lambda wire: self._read_all(wire, servo_ids, start, length, again), urgent=urgent
+        )
         lost = missing(servo_ids, replies)
         if lost and not partial:
             raise self._lost(", ".join(map(self.label, lost)), "no answer")
@@ -213,9 +224,11 @@ class ServoBus:
         data = {servo_id: register.encode(value) for servo_id, value in values.items()}
         self._submit(lambda wire: wire.sync_write(register.address, data), urgent=urgent)
 
-    def _read_all(self, wire: Wire, servo_ids: Sequence[int], start: int, length: int) -> dict[int, Reply]:
+    def _read_all(
+        self, wire: Wire, servo_ids: Sequence[int], start: int, length: int, retries: int
+    ) -> dict[int, Reply]:
         replies = _intact(wire.sync_read(servo_ids, start, length))
-        for _ in range(self.retries):
+        for _ in range(retries):
             lost = missing(servo_ids, replies)
             if not lost:
                 break

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rig import bus_watchdog
 from rig.errors import DeviceLost, GonioError, Refused, Unsafe
 from rig.handshake import Handshake, ServoSpec, configure, describe_errors, shake_hands
-from rig.stop_report import PartStop, StopOutcome
+from rig.stop_report import PartStop, StopOutcome, StopReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -193,7 +193,8 @@ class Servos:
         Never raises: one servo's failure does not keep the others from being stopped.
         """
         try:
-            states = self.bus.sync_read(self.ids, ("present_position",), partial=True, urgent=True)
+            # Asked once: who does not answer is asked again when the others have been told.
+            states = self.bus.sync_read(self.ids, ("present_position",), partial=True, urgent=True, retries=0)
             present = {i: self.specs[i].clamp(state["present_position"]) for i, state in states.items()}
             if present:
                 self.bus.sync_write("goal_position", present, urgent=True)
@@ -201,7 +202,13 @@ class Servos:
                 self.bus.sync_write("torque_enable", dict.fromkeys(self.ids, 0), urgent=True)
         except GonioError:
             pass  # each servo is now asked on its own, and what fails there is reported
-        return tuple(map(self._halt_one, self.ids))
+        # Step by step for all: nobody is told to stop only when another one has come to rest.
+        steps = [
+            [self._try(step, servo_id) for servo_id in self.ids]
+            for step in (self._hold, self._relax, self._read_back)
+        ]
+        # The worst of each servo's steps, of equal ones the last: it has been read back.
+        return tuple(StopReport(tries[::-1]).worst for tries in zip(*steps, strict=True))
 
     def _adopt(self, states: Mapping[int, State], handshake: Handshake) -> None:
         """Goal := present, except where a servo holds its goal: a sagging arm would sink further."""
@@ -310,18 +317,15 @@ class Servos:
         except DeviceLost:
             return ", and it no longer answers"
 
-    def _halt_one(self, servo_id: int) -> PartStop:
+    def _try(self, step: Callable[[int], str], servo_id: int) -> PartStop:
+        """Take one step of a stop with one servo, whatever becomes of it."""
         part = self.bus.label(servo_id)
-        failures: list[PartStop] = []
-        detail = ""
-        for step in (self._hold, self._relax, self._read_back):
-            try:
-                detail = step(servo_id)
-            except Refused as error:
-                failures.append(PartStop(part, StopOutcome.REFUSED, error.what))
-            except GonioError as error:
-                failures.append(PartStop(part, StopOutcome.UNKNOWN, error.what))
-        return failures[-1] if failures else PartStop(part, StopOutcome.CONFIRMED, detail)
+        try:
+            return PartStop(part, StopOutcome.CONFIRMED, step(servo_id))
+        except Refused as error:
+            return PartStop(part, StopOutcome.REFUSED, error.what)
+        except GonioError as error:
+            return PartStop(part, StopOutcome.UNKNOWN, error.what)
 
     def _hold(self, servo_id: int) -> str:
         """Goal := present, unless the synchronous write has already done it."""

@@ -43,8 +43,12 @@ class StopReport:
     @property
     def outcome(self) -> StopOutcome:
         """The worst of the parts: unknown before refused before confirmed; unknown when there is no part."""
-        outcomes = {part.outcome for part in self.parts} or {StopOutcome.UNKNOWN}
-        return max(outcomes, key=list(StopOutcome).index)
+        return self.worst.outcome if self.parts else StopOutcome.UNKNOWN
+
+    @property
+    def worst(self) -> PartStop:
+        """The part that decides, the first where several do."""
+        return max(self.parts, key=lambda part: list(StopOutcome).index(part.outcome))
 
     @property
     def details(self) -> tuple[str, ...]:

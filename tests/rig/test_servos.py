@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 NAMES = {1: "light_elevation", 2: "camera_azimuth", 3: "camera_elevation"}
 SPECS = tuple(ServoSpec.of(joint) for joint in default_rig().joints[:3])
-WRITE, SYNC_WRITE = 0x03, 0x83
+READ, WRITE, SYNC_WRITE = 0x02, 0x03, 0x83
 
 
 def packet(servo_id: int, instruction: int, *parameters: int) -> bytes:
@@ -308,6 +308,19 @@ def test_halt_stops_a_moving_arm_where_it_is(body: Callable[..., Body]) -> None:
     stop = sync_packet("goal_position", {1: 0, 2: 0, 3: 0})[:12]
     assert stop in one.heard
     assert one.bench.heard[1][1].startswith(stop)  # after the one question where they are
+
+
+def test_nobody_waits_for_another_to_come_to_rest(body: Callable[..., Body]) -> None:
+    """Catches a stop that tells the last servo only when the first has braked: a second late at full speed."""
+    one = body(speed=1.0, torque_on_stop="off")
+    one.servos.attach()
+    one.bus.sync_write("goal_position", {1: 2900, 2: 3500, 3: 2900})
+    time.sleep(0.3)
+    one.bench.heard.clear()
+    one.servos.halt()
+    last = max(one.heard.rindex(write_packet(servo_id, "torque_enable", 0)) for servo_id in (1, 2, 3))
+    torque = CONTROL_TABLE["torque_enable"].address
+    assert one.heard.index(packet(1, READ, torque, 0, 1, 0)) > last  # the first that is read back
 
 
 def test_halt_switches_torque_off_where_the_file_says(body: Callable[..., Body]) -> None:
