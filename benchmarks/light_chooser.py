@@ -145,7 +145,8 @@ def judge(mi: Any, drawn: Drawn, truth: Truth, tolerance: float) -> Judged:
     deciding, alone = [], []
     for step in range(1, REPEATS + 1):
         # Other poses each time: nothing that is kept of the last ones helps.
-        nearby = [tuple(angle + 1e-7 * (step + k) for angle in drawn.pose) for k in 10 * np.arange(SESSION)]
+        aside = 1e-7 * (1.0 + tolerance) * (step + 10 * np.arange(SESSION))
+        nearby = [tuple(angle + float(k) for angle in drawn.pose) for k in aside]
         begin = time.process_time()
         chooser.decide_many(nearby[1:])
         between = time.process_time()

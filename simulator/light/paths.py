@@ -132,8 +132,13 @@ class LightPaths:
         most : int, optional
             By default as many as there are.
         """
-        upper = "" if most is None else str(most)
-        return self._of(self._automaton & parse(f"L[lgS]{{{least},{upper}}}E").to_fsm())
+        return self._of(self._automaton & _of_length(least, most))
+
+
+@lru_cache(maxsize=256)
+def _of_length(least: int, most: int | None) -> Fsm:
+    upper = "" if most is None else str(most)
+    return parse(f"L[lgS]{{{least},{upper}}}E").to_fsm().reduce()
 
 
 @lru_cache(maxsize=256)
