@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rig.errors import BadInput, Refused
-from rig.ticks import rad_to_ticks, ticks_to_rad
+from rig.ticks import rad_to_ticks, tick_rad, ticks_to_rad
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -51,7 +51,9 @@ class Arms:
         self.held: HeldPose | None = None
         """The last verified pose; None before the first move and while moving."""
 
-    def move(self, angles_rad: Sequence[float], station: str | None = None) -> HeldPose:
+    def move(
+        self, angles_rad: Sequence[float], station: str | None = None, *, leading: bool = False
+    ) -> HeldPose:
         """Move all arms together, and the wheel if a station is named; return when they verifiably stand.
 
         Parameters
@@ -60,6 +62,9 @@ class Arms:
             One angle for each of `rig.arm_joints`.
         station : str, optional
             What the wheel brings to the centre; None leaves it as it is.
+        leading : bool
+            On the way to a pose, as from `lead_in`: the angles need only keep the limits, and the wheel too goes
+            only to where its approach begins.
 
         Raises
         ------
@@ -70,7 +75,7 @@ class Arms:
         Unsafe, DeviceLost
             As for `Servos.move`.
         """
-        goals = self._goals(angles_rad, station)
+        goals = self._goals(angles_rad, station, leading=leading)
         self.held = None
         self.held = self._pose(self._servos.move(goals, cancelled=self._stopped))
         return self.held
@@ -85,6 +90,36 @@ class Arms:
         """
         goals = self._goals(angles_rad, station)
         return tuple(ticks_to_rad(joint, goals[joint.id]) for joint in self._rig.arm_joints)
+
+    def lead_in(self, angles_rad: Sequence[float], station: str | None = None) -> tuple[float, ...] | None:
+        """Where a one-sided approach to a pose begins; None where every joint comes from its side anyway.
+
+        Backlash leaves a shaft between two ends of its play; a joint that is always pushed the same way last
+        stands at the same end, whatever it did before.
+
+        Raises
+        ------
+        BadInput, Refused
+            As for `move`.
+        DeviceLost
+            If a servo does not answer.
+        """
+        goals = self._goals(angles_rad, station)
+        if all(joint.approach == "direct" for joint in self._rig.joints):
+            return None
+        present = self._servos.present()
+        wrong = [
+            joint
+            for joint in self._rig.joints
+            if joint.id in goals and not _comes_from_its_side(joint, present[joint.id], goals[joint.id])
+        ]
+        if not wrong:
+            return None
+        ids = {joint.id for joint in wrong}
+        return tuple(
+            ticks_to_rad(joint, _lead_ticks(joint, goals[joint.id]) if joint.id in ids else goals[joint.id])
+            for joint in self._rig.arm_joints
+        )
 
     def measure(self) -> HeldPose:
         """Where the arms are now, moving or not.
@@ -114,13 +149,15 @@ class Arms:
         )
         return held
 
-    def _goals(self, angles_rad: Sequence[float], station: str | None) -> dict[int, int]:
+    def _goals(
+        self, angles_rad: Sequence[float], station: str | None, *, leading: bool = False
+    ) -> dict[int, int]:
         joints = self._rig.arm_joints
         if len(angles_rad) != len(joints):
             names = ", ".join(joint.name for joint in joints)
             raise BadInput(f"{len(angles_rad)} angles", where="pose", todo=f"give {len(joints)}: {names}")
         goals = {
-            joint.id: _goal_ticks(joint, float(angle))
+            joint.id: _goal_ticks(joint, float(angle), joint.limits_deg if leading else joint.reach_deg)
             for joint, angle in zip(joints, angles_rad, strict=True)
         }
         if station is not None:
@@ -128,7 +165,9 @@ class Arms:
             if wheel is None or station not in self._rig.stations:
                 known = ", ".join(self._rig.stations) or "none: the machine has no wheel"
                 raise BadInput(f"no station {station!r}", where="pose", todo=f"stations are {known}")
-            goals[wheel.id] = _goal_ticks(wheel, math.radians(self._rig.stations[station].angle_deg))
+            angle_rad = math.radians(self._rig.stations[station].angle_deg)
+            ticks = _goal_ticks(wheel, angle_rad, wheel.reach_deg)
+            goals[wheel.id] = _lead_ticks(wheel, ticks) if leading else ticks
         return goals
 
     def _pose(self, present: dict[int, int]) -> HeldPose:
@@ -147,13 +186,28 @@ class Arms:
         return None
 
 
-def _goal_ticks(joint: Joint, angle_rad: float) -> int:
-    low, high = joint.limits_deg
+def _goal_ticks(joint: Joint, angle_rad: float, allowed_deg: tuple[float, float]) -> int:
+    low, high = allowed_deg
     angle_deg = math.degrees(angle_rad)
-    if not low - 1e-6 <= angle_deg <= high + 1e-6:
+    half_a_tick_deg = 0.5 * math.degrees(tick_rad(joint))
+    if not low - half_a_tick_deg <= angle_deg <= high + half_a_tick_deg:
         raise Refused(
             f"{joint.name} would go to {angle_deg:.2f} degrees, allowed are {low:g} to {high:g}",
             where="pose",
             todo="choose another pose, or change limits_deg in the rig file if the machine can do it",
         )
     return rad_to_ticks(joint, angle_rad)
+
+
+def _lead_ticks(joint: Joint, goal: int) -> int:
+    """Where a joint's approach to a goal begins: the goal itself for a direct one."""
+    overshoot = math.ceil(math.radians(joint.overshoot_deg) / tick_rad(joint))
+    sign = {"direct": 0, "from_below": -1, "from_above": 1}[joint.approach]
+    low, high = sorted(rad_to_ticks(joint, math.radians(limit)) for limit in joint.limits_deg)
+    return min(max(goal + sign * overshoot, low), high)
+
+
+def _comes_from_its_side(joint: Joint, present: int, goal: int) -> bool:
+    """Whether a direct move of a joint is a one-sided approach already, long enough to take up its play."""
+    lead = _lead_ticks(joint, goal)
+    return lead == goal or (present - lead) * (lead - goal) >= 0

@@ -12,7 +12,7 @@ from rig.angles import FloatArray, direction_to_spherical, wrap
 from rig.errors import Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from rig.description import Joint
     from rig.kinematics import Kinematics
@@ -36,7 +36,7 @@ class _Branch(NamedTuple):
 
 
 def solutions(
-    kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: str
+    kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: Callable[[], str]
 ) -> list[FloatArray]:
     """Find the joint angles that bring lamp and camera to wi and wo, the nearest to `near` first.
 
@@ -47,8 +47,8 @@ def solutions(
         Unit vectors in the sample's frame.
     near : ndarray, shape (J,)
         Where the joints are, in radians.
-    where : str
-        The pose's name in messages.
+    where : callable
+        Gives the pose's name for messages.
 
     Returns
     -------
@@ -60,17 +60,17 @@ def solutions(
     Refused
         No joint angles within the limits do.
     """
-    common = _CommonMachine.recognise(kinematics)
+    common = kinematics.common
     if common is None:
         return _search(kinematics, wi, wo, near, where)
-    ways = common.branches(wi, wo, near, kinematics.limits_rad)
+    ways = common.branches(wi, wo, near, kinematics.reach_rad)
     branches = _into_limits(kinematics, list(ways), near)
     return _by_travel(kinematics, branches, near, where)
 
 
 def beyond_limits(joint: Joint, angle_rad: float, where: str) -> Refused:
     """Describe a joint that would have to go beyond its limits."""
-    low, high = joint.limits_deg
+    low, high = joint.reach_deg
     return Refused(
         f"{joint.name} would have to turn to {math.degrees(angle_rad):.2f} deg, "
         f"beyond its limits {low:g} to {high:g} deg",
@@ -79,7 +79,7 @@ def beyond_limits(joint: Joint, angle_rad: float, where: str) -> Refused:
     )
 
 
-class _CommonMachine(NamedTuple):
+class CommonMachine(NamedTuple):
     """Places and signs of the four joints of the machine that has a closed form.
 
     The lamp leans about y, the camera turns about z and leans about y, the sample turns about z. A sign is -1
@@ -93,7 +93,7 @@ class _CommonMachine(NamedTuple):
     signs: tuple[float, ...]
 
     @staticmethod
-    def recognise(kinematics: Kinematics) -> _CommonMachine | None:
+    def recognise(kinematics: Kinematics) -> CommonMachine | None:
         """Find the four joints in a machine; None if it is another one."""
         chains = (kinematics.light_chain, kinematics.camera_chain, kinematics.sample_chain)
         places = tuple(itertools.chain(*chains))
@@ -104,7 +104,7 @@ class _CommonMachine(NamedTuple):
         if not np.all(np.abs(cosines) == 1.0):
             return None
         light, azimuth, elevation, table = places
-        return _CommonMachine(light, azimuth, elevation, table, tuple(cosines.tolist()))
+        return CommonMachine(light, azimuth, elevation, table, tuple(cosines.tolist()))
 
     def branches(
         self, wi: FloatArray, wo: FloatArray, near: FloatArray, limits: FloatArray
@@ -143,7 +143,7 @@ def _into_limits(
 ) -> list[_Branch]:
     """Choose each joint's whole turns: within the limits and nearest to where it is, else least beyond."""
     angles = np.reshape(np.asarray(ways, dtype=np.float64), (-1, near.size))
-    low, high = kinematics.limits_rad.T[:, None, :, None]
+    low, high = kinematics.reach_rad.T[:, None, :, None]
     turns = np.arange(math.floor(low.min() / math.tau), math.ceil(high.max() / math.tau) + 1)
     options = wrap(angles)[..., None] + math.tau * turns
     outside = np.maximum(np.maximum(low - options, options - high), 0.0)
@@ -163,12 +163,12 @@ def _into_limits(
 
 
 def _by_travel(
-    kinematics: Kinematics, branches: list[_Branch], near: FloatArray, where: str
+    kinematics: Kinematics, branches: list[_Branch], near: FloatArray, where: Callable[[], str]
 ) -> list[FloatArray]:
     reachable = [branch for branch in branches if branch.beyond_rad == 0.0]
     if not reachable:
         least = min(branches, key=lambda branch: branch.beyond_rad)
-        raise beyond_limits(kinematics.joints[least.worst], float(least.angles[least.worst]), where)
+        raise beyond_limits(kinematics.joints[least.worst], float(least.angles[least.worst]), where())
 
     def travel(branch: _Branch) -> tuple[float, float]:
         # Rounded, so that equal travels stay equal and the first branch wins on every computer.
@@ -179,10 +179,10 @@ def _by_travel(
 
 
 def _search(
-    kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: str
+    kinematics: Kinematics, wi: FloatArray, wo: FloatArray, near: FloatArray, where: Callable[[], str]
 ) -> list[FloatArray]:
     """Find poses of any open chains by descent from many starts at once."""
-    low, high = kinematics.limits_rad.T
+    low, high = kinematics.reach_rad.T
     # A fixed seed: the same pose always gets the same answer.
     random = np.random.default_rng(0).uniform(low, high, size=(_RANDOM_STARTS, low.size))
     starts = np.vstack([near, kinematics.park_rad, np.zeros(low.size), random])
@@ -195,7 +195,7 @@ def _search(
     if not branches:
         raise Refused(
             f"no joint angles reach it, the nearest miss is {math.degrees(float(misses.min())):.2f} deg",
-            where=where,
+            where=where(),
             todo="choose a pose that the joints in the rig file can reach",
         )
     return _by_travel(kinematics, branches, near, where)
@@ -212,7 +212,7 @@ def _descend(
     misses : ndarray, shape (S,)
         Distance that is left, of the two directions together, in radians where it is small.
     """
-    low, high = kinematics.limits_rad.T
+    low, high = kinematics.reach_rad.T
     target = np.concatenate([wi, wo])
 
     def residuals(angles: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +26,12 @@ import numpy.typing as npt
 
 from rig.angles import FloatArray, direction_to_spherical, rotation, unit
 from rig.errors import BadInput, Refused
-from rig.inverse import beyond_limits, solutions
+from rig.inverse import CommonMachine, beyond_limits, solutions
 from rig.ticks import tick_rad
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rig.description import Joint, Rig
 
 CAMERA_AT_ZERO = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
@@ -75,8 +78,10 @@ class Kinematics:
         self.sample_chain = tuple(places[name] for name in rig.arms.sample)
         self.axes: FloatArray = unit([joint.axis for joint in self.joints])
         self.limits_rad: FloatArray = np.radians([joint.limits_deg for joint in self.joints])
+        self.reach_rad: FloatArray = np.radians([joint.reach_deg for joint in self.joints])
         self.park_rad: FloatArray = np.radians([joint.park_deg for joint in self.joints])
         self.ticks_rad: FloatArray = np.array([tick_rad(joint) for joint in self.joints])
+        self.common = CommonMachine.recognise(self)
 
     def directions(self, angles_rad: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Directions to lamp and camera from the sample's centre.
@@ -170,10 +175,10 @@ class Kinematics:
             It is not; the message names the joint, its angle and its limits.
         """
         angles = self._angles(angles_rad, axes=1)
-        for joint, angle, (low, high) in zip(self.joints, angles, self.limits_rad, strict=True):
+        for joint, angle, (low, high) in zip(self.joints, angles, self.reach_rad, strict=True):
             if not low - _ROUNDING_RAD <= angle <= high + _ROUNDING_RAD:
                 raise beyond_limits(joint, float(angle), where="pose")
-        self._check_separation(*self.directions(angles), where="pose")
+        self._check_separation(*self.directions(angles), where=lambda: "pose")
 
     def solve(self, wi: npt.ArrayLike, wo: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Find joint angles that bring lamp and camera to given directions.
@@ -221,18 +226,18 @@ class Kinematics:
             At least one.
         """
         wi, wo = _direction(wi, "wi"), _direction(wo, "wo")
-        where = _name_pose(wi, wo)
+        where = partial(_name_pose, wi, wo)
         self._check_separation(wi, wo, where)
         start = self.park_rad if near is None else self._angles(near, axes=1)
         return solutions(self, wi, wo, start, where)
 
-    def _check_separation(self, wi: FloatArray, wo: FloatArray, where: str) -> None:
+    def _check_separation(self, wi: FloatArray, wo: FloatArray, where: Callable[[], str]) -> None:
         apart_deg = math.degrees(float(_angle_between(wi, wo)))
         least_deg = self.rig.clearance.min_separation_deg
         if apart_deg < least_deg - math.degrees(_ROUNDING_RAD):
             raise Refused(
                 f"light and camera would be {apart_deg:.2f} deg apart, less than {least_deg:g} deg",
-                where=where,
+                where=where(),
                 todo="leave this pose out, or lower clearance.min_separation_deg if the arms allow it",
             )
 

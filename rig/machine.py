@@ -160,13 +160,27 @@ class Machine:
 
     def _move(self, angles_rad: Sequence[float], station: str | None) -> HeldPose:
         goal = self.arms.goal(angles_rad, station)
+        lead = self.arms.lead_in(goal, station)
+        if lead is None:
+            return self._travel(goal, station)
+        stood = self._travel(lead, station, leading=True).angles_rad
+        if self.rig.solids and len(self._detours.way(stood, goal)) > 1:
+            raise Refused(
+                "solids are in the way of the one-sided approach to this pose",
+                where="move",
+                todo="choose another pose, or another approach in the rig file; 'gonio rig show' draws it",
+            )
+        return self.arms.move(goal, station)
+
+    def _travel(self, goal: Sequence[float], station: str | None, *, leading: bool = False) -> HeldPose:
+        """Go to a pose, round what is in the way."""
         if not self.rig.solids:
-            return self.arms.move(goal, station)
+            return self.arms.move(goal, station, leading=leading)
         way = self._detours.way(self.arms.measure().angles_rad, goal)
         for _ in range(MOST_LEGS):
             if len(way) == 1:
-                return self.arms.move(goal, station)
-            stood = self.arms.move(self.arms.goal(way[0])).angles_rad
+                return self.arms.move(goal, station, leading=leading)
+            stood = self.arms.move(way[0], leading=True).angles_rad
             way = self._detours.onward(stood, way[1:])
         raise Refused("the way round does not end", where="move", todo="park the arms, then move again")
 

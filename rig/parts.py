@@ -85,6 +85,14 @@ class Joint(Part):
         description="where a one-sided approach begins, above 0 to 45 degrees from the goal",
     )
 
+    @property
+    def reach_deg(self) -> tuple[float, float]:
+        """Lowest and highest angle of a pose: inside the limits by the overshoot of a one-sided approach."""
+        low, high = self.limits_deg
+        if self.approach == "from_below":
+            return low + self.overshoot_deg, high
+        return low, high - self.overshoot_deg * (self.approach == "from_above")
+
 
 class Arms(Part):
     """The chains of joints, named from the base to the tip."""

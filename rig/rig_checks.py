@@ -88,8 +88,14 @@ def _joint_contradictions(joint: Joint, where: str) -> Iterator[PydanticCustomEr
         # Rounded inwards, so that a person can copy the numbers.
         reach = f"{math.ceil(lowest * 100) / 100:g} to {math.floor(highest * 100) / 100:g}"
         yield cross_field(f"{where}.limits_deg", [low, high], f"within one turn of the servo, {reach}")
+    least, most = joint.reach_deg
+    if not least <= 0.0 <= most:
+        yield cross_field(f"{where}.overshoot_deg", joint.overshoot_deg, "less: 0 must leave room for it")
     if not low <= joint.park_deg <= high:
         yield cross_field(f"{where}.park_deg", joint.park_deg, f"within limits_deg, {low:g} to {high:g}")
+    elif not least <= joint.park_deg <= most:
+        allowed = f"within {least:g} to {most:g}, overshoot_deg inside limits_deg"
+        yield cross_field(f"{where}.park_deg", joint.park_deg, allowed)
 
 
 def _arm_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
@@ -122,7 +128,7 @@ def _station_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
         return
     if not rig.stations:
         yield cross_field("stations", {}, f"at least one station, as arms.station names {wheel.name}")
-    low, high = wheel.limits_deg
+    low, high = wheel.reach_deg
     for name, station in rig.stations.items():
         if not low <= station.angle_deg <= high:
             yield cross_field(
