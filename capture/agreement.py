@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from capture.clip import CLIPPED
-from capture.frames import any_in_cell, tile
+from capture.frames import any_in_cell, over, thin, thinning, tile
 from capture.merge import Flag
 
 if TYPE_CHECKING:
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 RANGE = (60.0 / 255.0, 240.0 / 255.0)
 """Counts that are compared, as fractions of the clip level: above rounding, below saturation."""
+
+_SAMPLE_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Agreement:
 
 
 def agreement(stack: Stack, dark: Subtrahend, merged: Merged) -> Agreement:
-    """Compare each frame with what the merge predicts for it.
+    """Compare each frame with what the merge predicts for it; of large frames, a part.
 
     Parameters
     ----------
@@ -83,17 +85,20 @@ def agreement(stack: Stack, dark: Subtrahend, merged: Merged) -> Agreement:
     -------
     Agreement
     """
+    step = thinning(stack.shape, _SAMPLE_PIXELS)
+    part, flags, radiance = stack.thinned(step), thin(merged.flags, step), thin(merged.radiance, step)
     clip = np.reshape(np.asarray(merged.report.clip_dn), (2, 2))
     black = float(np.median(dark.level_dn[0]))
     low, high = (black + part * (float(clip.min()) - black) for part in RANGE)
-    clipped_from = tile(black + CLIPPED * (clip - black), stack.shape)
-    usable = (merged.flags & np.uint8(Flag.OVER_RANGE | Flag.HOT)) == 0
-    usable &= merged.radiance > 0.0
+    clipped_from = tile(black + CLIPPED * (clip - black), part.shape)
+    usable = (flags & np.uint8(Flag.OVER_RANGE | Flag.HOT)) == 0
+    usable &= radiance > 0.0
     deviations, cleans = [], []
-    for counts, level, seconds in zip(stack.counts, dark.level_dn, stack.exposure_s, strict=True):
+    for counts, whole, seconds in zip(part.arrays(), dark.level_dn, stack.exposure_s, strict=True):
+        level = over(thin(whole, step), part.shape)
         chosen = usable & (counts >= low) & (counts <= high)
         signal = (counts - level.astype(np.float64))[chosen]
-        deviations.append(signal / (merged.radiance[chosen] * seconds) - 1.0)
+        deviations.append(signal / (radiance[chosen] * seconds) - 1.0)
         cleans.append(~any_in_cell(counts >= clipped_from)[chosen])
     frames = tuple(_summary(d, c) for d, c in zip(deviations, cleans, strict=True))
     return Agreement((low, high), frames, _summary(np.concatenate(deviations), np.concatenate(cleans)))

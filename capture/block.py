@@ -43,15 +43,15 @@ class Rules:
     Attributes
     ----------
     exposure_s : tuple of float
-        Exposure time of each frame.
+        Exposure time of each frame, ascending.
     floor_dn2 : tuple of float
         Variance without light of each frame: read, rounding and dark-frame noise.
     gain_dn_per_e : float
         DN per electron.
     common_dn2 : tuple of float
         Variances shared by all frames: of the bias, of bias and rate, of the rate.
-    shortest : tuple of int
-        The frames of the shortest exposure.
+    shortest : int
+        Number of frames of the shortest exposure.
     iterations : int
         Fixed-point iterations of the maximum-likelihood weights; 0 leaves the Poisson estimate.
     limits : ndarray
@@ -62,7 +62,7 @@ class Rules:
     floor_dn2: tuple[float, ...]
     gain_dn_per_e: float
     common_dn2: tuple[float, float, float]
-    shortest: tuple[int, ...]
+    shortest: int
     iterations: int
     limits: NDArray[np.float64]
 
@@ -77,33 +77,28 @@ class Outputs(NamedTuple):
     samples: NDArray[np.unsignedinteger] | None
 
 
-class _Sample(NamedTuple):
-    """One frame's samples: signal (later: rate above the first estimate) and weight, None where all are 1."""
+class _Buffers(NamedTuple):
+    """All buffers of a merger, cut to one shape of blocks: one row for each frame, and rows for sums."""
 
     signal: Any
     weight: Any
-    exposure_s: float
-    floor_dn2: float
-
-
-class _Spare(NamedTuple):
-    """Buffers of one block, each (H, W)."""
-
-    first: Any
-    chi_square: Any
-    shot: Any
-    top: Any
-    bottom: Any
     factor: Any
-    part: Any
+    sums: Any
 
 
-class _Buffers(NamedTuple):
-    """All buffers, cut to one shape of blocks."""
+class _Frames(NamedTuple):
+    """The frames that enter a block, one row each.
 
-    signals: list[Any]
-    weights: list[Any]
-    spare: _Spare
+    `signal` is x, later the rate above the first estimate; `weight` is w, None where all are 1; the columns
+    `exposure_s` and `phi` hold t and floor / t; `number` is how many samples count at each pixel, or at all.
+    """
+
+    signal: Any
+    weight: Any
+    factor: Any
+    exposure_s: Any
+    phi: Any
+    number: Any
 
 
 class BlockMerger:
@@ -123,12 +118,13 @@ class BlockMerger:
     def __init__(
         self, rules: Rules, ramp: Ramp, shape: tuple[int, int], dtype: np.dtype[np.floating]
     ) -> None:
-        self._rules, self._ramp = rules, ramp
+        self._rules, self._ramp, self._shortest = rules, ramp, rules.shortest
         number, pixels = len(rules.exposure_s), shape[0] * shape[1]
-        self._signals = np.empty((number, pixels), dtype)
-        self._weights = np.empty((number, pixels), dtype)
-        self._spare = np.empty((len(_Spare._fields), pixels), dtype)
+        self._whole = _Buffers(*(np.empty((rows, pixels), dtype) for rows in (number, number, number, 7)))
+        self._number = np.min_scalar_type(number)
         self._views: dict[tuple[int, ...], _Buffers] = {}
+        self._exposure_s = np.array(rules.exposure_s, dtype)[:, np.newaxis]
+        self._phi = (np.array(rules.floor_dn2, dtype)[:, np.newaxis] + dtype.type(_TINY)) / self._exposure_s
 
     def merge(
         self, counts: Sequence[NDArray[Any]], levels: Sequence[NDArray[Any]], rate: NDArray[Any], out: Outputs
@@ -145,96 +141,103 @@ class BlockMerger:
             Dark signal per second; its shot noise is noise.
         out : Outputs
         """
-        buffers = self._buffers(out.flags.shape)
-        samples, number = self._samples(counts, levels, out.flags, buffers)
-        first, chi_square, shot, top, bottom, factor, part = buffers.spare
-        total = _poisson(samples, first, bottom, part)
-        for sample in samples:
-            signal = sample.signal
-            signal *= 1.0 / sample.exposure_s
-            signal -= first
-        rules = self._rules
-        if rules.iterations:
-            radiance = first
-            for left in reversed(range(rules.iterations)):
-                _shot(radiance, rules.gain_dn_per_e, rate, shot)
-                _weighted_step(samples, shot, factor, (bottom, top) if left else (bottom, top, chi_square))
-                np.divide(top, bottom, out=top)
-                radiance = np.add(first, top, out=part)
-            out.radiance[:] = radiance
-            # The sum of squares is about the first estimate: about the last, it is less by the shift's part.
-            top *= top
-            top *= bottom
-            chi_square -= top
-            _weighted_variance(samples, shot, bottom, (factor, part), out.variance)
-            total = bottom
-        else:
-            _shot(first, rules.gain_dn_per_e, rate, shot)
-            _poisson_chi_square(samples, shot, factor, part, chi_square)
-            _poisson_variance(samples, shot, total, (part, top, factor), out.variance)
-            out.radiance[:] = first
-        self._add_common(samples, shot, total, (factor, part), out)
-        self._set_flags(chi_square, number, part, out)
-        if out.chi_square is not None:
-            np.maximum(chi_square, 0.0, out=out.chi_square)
-        if out.samples is not None:
-            out.samples[:] = number
-
-    def _buffers(self, shape: tuple[int, ...]) -> _Buffers:
+        shape = out.flags.shape
         if shape not in self._views:
-            self._views[shape] = _Buffers(
-                [row[: shape[0] * shape[1]].reshape(shape) for row in self._signals],
-                [row[: shape[0] * shape[1]].reshape(shape) for row in self._weights],
-                _Spare(*(row[: shape[0] * shape[1]].reshape(shape) for row in self._spare)),
-            )
-        return self._views[shape]
+            self._views[shape] = _Buffers(*(part[:, : shape[0] * shape[1]] for part in self._whole))
+        buffers = self._views[shape]
+        frames = self._load(counts, levels, out.flags, buffers)
+        first, radiance, variance, chi_square, shot, total, part = buffers.sums
+        _first_estimate(frames, first, total)
+        np.multiply(frames.signal, 1.0 / frames.exposure_s, out=frames.signal)
+        np.subtract(frames.signal, first, out=frames.signal)
+        np.copyto(radiance, first)
+        if self._rules.iterations:
+            for _ in range(self._rules.iterations):
+                self._shot(radiance, rate, shot)
+                _weigh(frames, shot)
+                np.add.reduce(frames.factor, axis=0, out=total)
+                np.einsum("ij,ij->j", frames.factor, frames.signal, out=part)
+                part /= total
+                np.add(first, part, out=radiance)
+            _weighted_variance(frames, total, variance)
+            self._add_common(frames, total, shot, variance)
+            # The sum of squares is about the first estimate: about the last, it is less by the shift's part.
+            _chi_square(frames, chi_square)
+            part *= part
+            part *= total
+            chi_square -= part
+        else:
+            self._shot(radiance, rate, shot)
+            self._poisson_variance(frames, shot, total, variance)
+            _weigh(frames, shot)
+            _chi_square(frames, chi_square)
+        out.radiance[:] = radiance.reshape(shape)
+        out.variance[:] = variance.reshape(shape)
+        self._set_flags(radiance, variance, chi_square, frames.number, out.flags)
+        if out.chi_square is not None:
+            np.maximum(chi_square.reshape(shape), 0.0, out=out.chi_square)
+        if out.samples is not None:
+            out.samples[:] = frames.number if isinstance(frames.number, int) else frames.number.reshape(shape)
 
-    def _samples(
+    def _load(
         self,
         counts: Sequence[NDArray[Any]],
         levels: Sequence[NDArray[Any]],
         flags: NDArray[np.uint8],
         buffers: _Buffers,
-    ) -> tuple[list[_Sample], NDArray[np.uint16] | int]:
-        """Take the samples of frames with any weight in the block; count those of each pixel."""
-        ramp, rules = self._ramp, self._rules
-        samples: list[_Sample] = []
-        indices: list[int] = []
-        mixed = False
+    ) -> _Frames:
+        """Fill the buffers with the frames of a block, but for the longest that are clipped all over it."""
+        ramp, shape = self._ramp, flags.shape
         for index, frame in enumerate(counts):
-            signal = buffers.signals[index]
-            np.copyto(signal, frame, casting="unsafe")
-            near = np.maximum.reduce(signal, axis=None) >= ramp.lowest_start
-            if near and np.minimum.reduce(signal, axis=None) >= ramp.highest_end:
-                continue
-            weight = None
-            if near:
-                weight = buffers.weights[index]
-                ramp.weights(signal, out=weight)
-                self._reject_neighbours(signal, weight, flags)
-                mixed = True
-            signal -= levels[index]
-            samples.append(_Sample(signal, weight, rules.exposure_s[index], rules.floor_dn2[index] + _TINY))
-            indices.append(index)
-        if not mixed and samples:
-            return samples, len(samples)
+            np.copyto(buffers.signal[index].reshape(shape), frame, casting="unsafe")
+        near = np.flatnonzero(np.maximum.reduce(buffers.signal, axis=1) >= ramp.lowest_start)
+        rows = len(counts)
+        for row in near[::-1]:
+            if row < rows - 1 or np.minimum.reduce(buffers.signal[row]) < ramp.highest_end:
+                break
+            rows -= 1
+        if rows and (not near.size or near[0] >= rows):
+            self._subtract(levels, rows, buffers, shape)
+            return self._frames(rows, None, rows, buffers)
+        rows = max(rows, self._shortest)
+        weights = buffers.weight[:rows]
+        for row in range(rows):
+            if row in near:
+                weight = weights[row].reshape(shape)
+                ramp.weights(buffers.signal[row].reshape(shape), out=weight)
+                self._reject_neighbours(buffers.signal[row].reshape(shape), weight, flags)
+            else:
+                weights[row] = 1.0
+        self._subtract(levels, rows, buffers, shape)
         if (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)).any():
-            self._readmit(counts, samples, indices, flags)
-        number = np.zeros(flags.shape, np.uint16)
-        for sample in samples:
-            number += 1 if sample.weight is None else sample.weight > 0.0
+            self._readmit(counts[:rows], weights, buffers.signal, flags)
+        number = np.add.reduce((weights > 0.0).view(np.uint8), axis=0, dtype=self._number)
         lost = number == 0
         if lost.any():
-            flags |= _bits(lost, Flag.OVER_RANGE)
-            by_index = dict(zip(indices, samples, strict=True))
-            for index in rules.shortest:
-                if index not in by_index:
-                    by_index[index] = self._clipped_sample(index, counts[index], levels[index], buffers)
-                weight = by_index[index].weight
-                if weight is not None:
-                    weight[lost] = 1.0
-            samples = [by_index[index] for index in sorted(by_index)]
-        return [sample for sample in samples if sample.weight is None or sample.weight.any()], number
+            flags |= _bits(lost.reshape(shape), Flag.OVER_RANGE)
+            weights[: self._shortest, lost] = 1.0  # the shortest exposures' value is a lower bound
+        return self._frames(rows, weights, number, buffers)
+
+    def _subtract(
+        self, levels: Sequence[NDArray[Any]], rows: int, buffers: _Buffers, shape: tuple[int, ...]
+    ) -> None:
+        if all(level.size == 1 for level in levels):
+            column = np.array([level.item() for level in levels[:rows]], buffers.signal.dtype)
+            np.subtract(buffers.signal[:rows], column[:, np.newaxis], out=buffers.signal[:rows])
+            return
+        for signal, level in zip(buffers.signal[:rows], levels, strict=False):
+            part = signal.reshape(shape)
+            part -= level
+
+    def _frames(self, rows: int, weight: Any, number: Any, buffers: _Buffers) -> _Frames:
+        return _Frames(
+            signal=buffers.signal[:rows],
+            weight=weight,
+            factor=buffers.factor[:rows],
+            exposure_s=self._exposure_s[:rows],
+            phi=self._phi[:rows],
+            number=number,
+        )
 
     def _reject_neighbours(self, counts: Any, weight: Any, flags: NDArray[np.uint8]) -> None:
         clipped = self._ramp.clipped(counts)
@@ -244,84 +247,81 @@ class BlockMerger:
             weight *= ~near
 
     def _readmit(
-        self,
-        counts: Sequence[NDArray[Any]],
-        samples: list[_Sample],
-        indices: list[int],
-        flags: NDArray[np.uint8],
+        self, counts: Sequence[NDArray[Any]], weights: Any, signals: Any, flags: NDArray[np.uint8]
     ) -> None:
         """Take samples beside clipped ones back where the others alone tell less than these may be wrong."""
-        rows, cols = np.nonzero(flags & np.uint8(Flag.NEIGHBOUR_CLIPPED))
-        signal, floor = np.zeros(rows.size), np.zeros(rows.size)
-        for sample in samples:
-            weight = 1.0 if sample.weight is None else sample.weight[rows, cols]
-            signal += sample.signal[rows, cols] * weight
-            floor += sample.floor_dn2 * weight
-        np.maximum(signal, 0.0, out=signal)
-        poor = signal**2 * SUSPECT_ERROR**2 <= self._rules.gain_dn_per_e * signal + floor
-        if not poor.any():
+        places = np.flatnonzero(flags & np.uint8(Flag.NEIGHBOUR_CLIPPED))
+        rows = len(counts)
+        weight = weights[:, places].astype(np.float64)
+        signal = np.maximum((weight * signals[:rows, places]).sum(axis=0), 0.0)
+        floor = np.array(self._rules.floor_dn2[:rows]) @ weight
+        places = places[signal**2 * SUSPECT_ERROR**2 <= self._rules.gain_dn_per_e * signal + floor]
+        if not places.size:
             return
-        rows, cols = rows[poor], cols[poor]
-        flags[rows, cols] |= np.uint8(Flag.NEAR_CLIPPED_USED)
-        for index, sample in zip(indices, samples, strict=True):
-            if sample.weight is not None:
-                own = self._ramp.weights(counts[index].astype(sample.weight.dtype))
-                sample.weight[rows, cols] = own[rows, cols]
+        at = np.unravel_index(places, flags.shape)
+        flags[at] |= np.uint8(Flag.NEAR_CLIPPED_USED)
+        for row, frame in enumerate(counts):
+            own = self._ramp.weights(frame.astype(weights.dtype))
+            weights[row, places] = own[at]
 
-    def _clipped_sample(
-        self, index: int, counts: NDArray[Any], level: NDArray[Any], buffers: _Buffers
-    ) -> _Sample:
-        """Take the samples of a frame that is clipped all over the block, without weight."""
-        signal, weight = buffers.signals[index], buffers.weights[index]
-        np.subtract(counts, level, out=signal, casting="unsafe")
-        weight[:] = 0.0
-        floor = self._rules.floor_dn2[index] + _TINY
-        return _Sample(signal, weight, self._rules.exposure_s[index], floor)
+    def _shot(self, radiance: Any, rate: NDArray[Any], out: Any) -> None:
+        """Variance per second of exposure: gain times signal, never negative."""
+        if np.minimum.reduce(radiance) < 0.0:
+            radiance = np.maximum(radiance, 0.0, out=out)
+        np.multiply(radiance, self._rules.gain_dn_per_e, out=out)
+        if rate.size > 1 or rate.any():
+            dark = self._rules.gain_dn_per_e * rate
+            out += dark.ravel() if dark.size > 1 else dark[0]
 
-    def _add_common(
-        self, samples: list[_Sample], shot: Any, bottom: Any, spare: tuple[Any, Any], out: Outputs
-    ) -> None:
+    def _poisson_variance(self, frames: _Frames, shot: Any, total: Any, out: Any) -> None:
+        """Sum of w^2 v over the squared sum of w t."""
+        exposure_s, floor = frames.exposure_s[:, 0], frames.phi[:, 0] * frames.exposure_s[:, 0]
+        if frames.weight is None:
+            np.multiply(shot, 1.0 / exposure_s.sum(), out=out)
+            out += floor.sum() / exposure_s.sum() ** 2
+            spread: Any = exposure_s.size
+        else:
+            square = np.multiply(frames.weight, frames.weight, out=frames.factor)
+            np.einsum("i,ij->j", exposure_s, square, out=out)
+            out *= shot
+            out += np.einsum("i,ij->j", floor, square)
+            out /= total
+            out /= total
+            spread = np.add.reduce(frames.weight, axis=0)
+        self._add_lever(spread / (exposure_s.sum() if frames.weight is None else total), out)
+
+    def _add_common(self, frames: _Frames, total: Any, part: Any, out: Any) -> None:
+        if any(self._rules.common_dn2):
+            np.einsum("i,ij->j", 1.0 / frames.exposure_s[:, 0], frames.factor, out=part)
+            part /= total
+            self._add_lever(part, out)
+
+    def _add_lever(self, lever: Any, out: Any) -> None:
         """Add what errors shared by all frames' darks do to the variance.
 
         An error b + r t of all darks moves the estimate by b sum(a / t) / sum(a) + r.
         """
         bias_bias, bias_rate, rate_rate = self._rules.common_dn2
-        if not (bias_bias or rate_rate):
-            return
-        factor, lever = spare
-        lever[:] = 0.0
-        for sample in samples:
-            if self._rules.iterations:
-                np.add(shot, sample.floor_dn2 / sample.exposure_s, out=factor)
-                np.reciprocal(factor, out=factor)
-            else:
-                factor[:] = 1.0
-            if sample.weight is not None:
-                factor *= sample.weight
-            lever += factor
-        lever /= bottom
-        np.multiply(lever, bias_bias, out=factor)
-        factor += 2.0 * bias_rate
-        factor *= lever
-        factor += rate_rate
-        np.add(out.variance, factor, out=out.variance)
+        if bias_bias or rate_rate:
+            out += (bias_bias * lever + 2.0 * bias_rate) * lever + rate_rate
 
-    def _set_flags(self, chi_square: Any, number: Any, part: Any, out: Outputs) -> None:
-        np.sqrt(out.variance, out=part)
-        under = np.less(out.radiance, part)
-        if under.any():
-            under &= (out.flags & np.uint8(Flag.OVER_RANGE)) == 0
-            np.bitwise_or(out.flags, _bits(under, Flag.UNDER_RANGE), out=out.flags)
+    def _set_flags(
+        self, radiance: Any, variance: Any, chi_square: Any, number: Any, flags: NDArray[np.uint8]
+    ) -> None:
+        least = np.minimum.reduce(radiance)
+        if least < 0.0 or least * least < np.maximum.reduce(variance):
+            under = (radiance < np.sqrt(variance)).reshape(flags.shape)
+            under &= (flags & np.uint8(Flag.OVER_RANGE)) == 0
+            flags |= _bits(under, Flag.UNDER_RANGE)
         limits = self._rules.limits
-        least = limits[number] if isinstance(number, int) else limits[2:].min(initial=np.inf)
-        if np.maximum.reduce(chi_square, axis=None) <= least:
+        limit = limits[number] if isinstance(number, int) else limits[2:].min(initial=np.inf)
+        if np.maximum.reduce(chi_square) <= limit:
             return
         # Few pixels pass the limit of two samples, the lowest: only these are looked up by their number.
-        places = np.flatnonzero(chi_square > least)
+        places = np.flatnonzero(chi_square > limit)
         if not isinstance(number, int):
-            places = places[chi_square.ravel()[places] > limits[number.ravel()[places]]]
-        rows, cols = np.unravel_index(places, chi_square.shape)
-        out.flags[rows, cols] |= np.uint8(Flag.INCONSISTENT)
+            places = places[chi_square[places] > limits[number[places]]]
+        flags[np.unravel_index(places, flags.shape)] |= np.uint8(Flag.INCONSISTENT)
 
 
 def _bits(where: NDArray[np.bool_], flag: Flag) -> NDArray[np.uint8]:
@@ -329,108 +329,37 @@ def _bits(where: NDArray[np.bool_], flag: Flag) -> NDArray[np.uint8]:
     return where.view(np.uint8) * np.uint8(flag)
 
 
-def _poisson(samples: list[_Sample], radiance: Any, bottom: Any, part: Any) -> Any:
-    """Put sum(w x) / sum(w t) into `radiance`; return the denominator, a number where no weight differs."""
-    total: Any = sum(sample.exposure_s for sample in samples if sample.weight is None)
-    started = False
-    for sample in samples:
-        value = sample.signal
-        if sample.weight is not None:
-            value = np.multiply(value, sample.weight, out=part)
-        if started:
-            radiance += value
-        else:
-            radiance[:] = value
-            started = True
-    if any(sample.weight is not None for sample in samples):
-        bottom[:] = total
-        for sample in samples:
-            if sample.weight is not None:
-                bottom += np.multiply(sample.weight, sample.exposure_s, out=part)
-        total = bottom
+def _first_estimate(frames: _Frames, radiance: Any, total: Any) -> None:
+    """Put sum(w x) / sum(w t) into `radiance`, and the denominator into `total` where weights differ."""
+    exposure_s = frames.exposure_s[:, 0]
+    if frames.weight is None:
+        np.add.reduce(frames.signal, axis=0, out=radiance)
+        radiance *= 1.0 / exposure_s.sum()
+        return
+    np.einsum("ij,ij->j", frames.weight, frames.signal, out=radiance)
+    np.einsum("i,ij->j", exposure_s, frames.weight, out=total)
     radiance /= total
-    return total
 
 
-def _shot(radiance: Any, gain: float, rate: NDArray[Any], out: Any) -> None:
-    """Variance per second of exposure: gain times signal, never negative."""
-    np.maximum(radiance, 0.0, out=out)
-    if rate.size > 1 or rate.any():
-        out += rate
-    out *= gain
+def _weigh(frames: _Frames, shot: Any) -> None:
+    """Put a = w t / (S + phi) into the factors."""
+    np.add(shot, frames.phi, out=frames.factor)
+    np.divide(frames.exposure_s, frames.factor, out=frames.factor)
+    if frames.weight is not None:
+        np.multiply(frames.factor, frames.weight, out=frames.factor)
 
 
-def _weight(sample: _Sample, shot: Any, factor: Any) -> None:
-    """Put a = w t / (S + phi) into `factor`."""
-    np.add(shot, sample.floor_dn2 / sample.exposure_s, out=factor)
-    np.divide(sample.exposure_s, factor, out=factor)
-    if sample.weight is not None:
-        factor *= sample.weight
-
-
-def _weighted_step(samples: list[_Sample], shot: Any, factor: Any, sums: tuple[Any, ...]) -> None:
-    """Sum a, a times the rate, and, where there is a third sum, a times the rate's square."""
-    for first, sample in enumerate(samples):
-        _weight(sample, shot, factor)
-        for order, into in enumerate(sums):
-            if order:
-                factor *= sample.signal
-            if first:
-                np.add(into, factor, out=into)
-            else:
-                into[:] = factor
-
-
-def _weighted_variance(
-    samples: list[_Sample], shot: Any, bottom: Any, spare: tuple[Any, Any], out: Any
-) -> None:
-    """Sum of w a over the squared sum of a: the variance of the rate u is w / a."""
-    if all(sample.weight is None for sample in samples):
-        np.reciprocal(bottom, out=out)
+def _weighted_variance(frames: _Frames, total: Any, out: Any) -> None:
+    """Sum of w a over the squared sum of a: the variance of a frame's rate is w / a."""
+    if frames.weight is None:
+        np.reciprocal(total, out=out)
         return
-    factor, spread = spare
-    spread[:] = 0.0
-    for sample in samples:
-        _weight(sample, shot, factor)
-        if sample.weight is not None:
-            factor *= sample.weight
-        spread += factor
-    spread /= bottom
-    np.divide(spread, bottom, out=out)
+    np.einsum("ij,ij->j", frames.factor, frames.weight, out=out)
+    out /= total
+    out /= total
 
 
-def _poisson_chi_square(samples: list[_Sample], shot: Any, factor: Any, part: Any, squares: Any) -> None:
-    """Sum of w (x - L t)^2 / v."""
-    for first, sample in enumerate(samples):
-        into = part if first else squares
-        np.multiply(sample.signal, sample.signal, out=into)
-        _weight(sample, shot, factor)
-        into *= factor
-        if first:
-            squares += part
-
-
-def _poisson_variance(
-    samples: list[_Sample], shot: Any, total: Any, spare: tuple[Any, Any, Any], out: Any
-) -> None:
-    """Sum of w^2 v over the squared sum of w t."""
-    square, of_light, of_floor = spare
-    whole = [sample for sample in samples if sample.weight is None]
-    light = sum(sample.exposure_s for sample in whole)
-    floor = sum(sample.floor_dn2 for sample in whole)
-    if len(whole) == len(samples):
-        np.multiply(shot, light / total**2, out=square)
-        np.add(square, floor / total**2, out=out)
-        return
-    of_light[:], of_floor[:] = light, floor
-    for sample in samples:
-        if sample.weight is not None:
-            np.multiply(sample.weight, sample.weight, out=square)
-            square *= sample.exposure_s
-            of_light += square
-            square *= sample.floor_dn2 / sample.exposure_s
-            of_floor += square
-    of_light *= shot
-    of_light += of_floor
-    of_light /= total
-    np.divide(of_light, total, out=out)
+def _chi_square(frames: _Frames, out: Any) -> None:
+    """Sum of a u^2, for the rates u above the first estimate, which are squared in place."""
+    np.multiply(frames.signal, frames.signal, out=frames.signal)
+    np.einsum("ij,ij->j", frames.factor, frames.signal, out=out)

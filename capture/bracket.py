@@ -13,7 +13,7 @@ from capture.dark import DarkModel, black_cell, subtrahend
 from capture.frames import as_stack, thinning
 from capture.merge import Merged, merge_stack
 from capture.ratios import ExposureFit, Ratio, fit_exposures, measure_ratios
-from capture.raw import PathLike, RawFrame, read_raw
+from capture.raw import PathLike, RawHead, StreamedFrame, open_raw
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class BracketMerge:
 
     Attributes
     ----------
-    frames : tuple of RawFrame
+    frames : tuple of RawHead
         By ascending exposure.
     nominal_s : tuple of float
         Their stated exposure times.
@@ -59,7 +59,7 @@ class BracketMerge:
         Radiance, variance, flags.
     """
 
-    frames: tuple[RawFrame, ...]
+    frames: tuple[RawHead, ...]
     nominal_s: tuple[float, ...]
     time_sources: tuple[str, ...]
     used_s: tuple[float, ...]
@@ -94,8 +94,8 @@ def exposure_from_name(path: PathLike) -> float | None:
 
 def timed_frames(
     files: Sequence[PathLike], exposure_s: Sequence[float] | None = None
-) -> tuple[list[RawFrame], list[float], list[str]]:
-    """Read frames and find their exposure times: as given, else from the file, else from its name.
+) -> tuple[list[StreamedFrame], list[float], list[str]]:
+    """Open frames and find their exposure times: as given, else from the file, else from its name.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def timed_frames(
 
     Returns
     -------
-    frames : list of RawFrame
+    frames : list of StreamedFrame
     exposure_s : list of float
     sources : list of str
         "given", "file" or "file name" for each.
@@ -121,7 +121,7 @@ def timed_frames(
         raise BadInput(what, where="--exposure-s", todo="give one per file, in order")
     frames, times, sources = [], [], []
     for index, file in enumerate(files):
-        frame = read_raw(file)
+        frame = open_raw(file)
         choices = {
             "given": exposure_s[index] if exposure_s is not None else None,
             "file": frame.exposure_s,

@@ -104,11 +104,12 @@ def single_frame_clip(counts: NDArray[np.integer[Any]], black_dn: float) -> floa
 def _measured_level(stack: Stack, row: int, col: int, black_dn: float) -> float | None:
     """Lowest clip level that frames longer than the shortest show at one position of the cell."""
     order = np.argsort(stack.exposure_s, kind="stable")
-    least = max(_LEAST_SPAN_DN, _LEAST_FRACTION * (max(float(c.max()) for c in stack.counts) - black_dn))
+    frames = stack.arrays()
+    least = max(_LEAST_SPAN_DN, _LEAST_FRACTION * (max(float(c.max()) for c in frames) - black_dn))
     found = []
     for shorter, longer in itertools.pairwise(order):
         ratio = stack.exposure_s[longer] / stack.exposure_s[shorter]
-        counts = stack.counts[longer][row::2, col::2].ravel()
+        counts = frames[longer][row::2, col::2].ravel()
         if ratio < _BRIGHTER or counts.size == 0:
             continue
         top = float(counts.max())
@@ -118,7 +119,7 @@ def _measured_level(stack: Stack, row: int, col: int, black_dn: float) -> float 
         ):
             continue
         level, spread = _spike(counts[near])
-        predicted = (stack.counts[shorter][row::2, col::2].ravel()[near] - black_dn) * ratio
+        predicted = (frames[shorter][row::2, col::2].ravel()[near] - black_dn) * ratio
         brighter = float(np.median(predicted)) > _BRIGHTER * (level - black_dn)
         if brighter or (level == top and level in _NATURAL_LIMITS):
             found.append(level - 4.0 * spread)
@@ -173,7 +174,7 @@ class Ramp:
         self, counts: NDArray[np.floating], out: NDArray[np.floating] | None = None
     ) -> NDArray[np.floating]:
         """Weight of each sample of a block: 1 well below the clip level, 0 near it."""
-        weights = np.subtract(self._cut(self._end, counts), counts, out=out)
+        weights: NDArray[np.floating] = np.subtract(self._cut(self._end, counts), counts, out=out)
         weights *= self._cut(self._slope, counts)
         return np.clip(weights, 0.0, 1.0, out=weights)
 

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture.frames import FrameLike, Stack, tile
-from capture.raw import RawFrame, read_raw
+from capture.raw import RawFrame, RawHead, StreamedFrame, read_raw
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from capture.frames import FrameLike, Stack
     from capture.sensor import SensorModel
 
 SAME_EXPOSURE = 1e-3
@@ -162,8 +162,8 @@ def _sums_by_exposure(frames: Iterable[FrameLike], exposure_s: Sequence[float] |
     shape: tuple[int, ...] | None = None
     for index, item in enumerate(listed):
         frame = read_raw(item) if isinstance(item, str | os.PathLike) else item
-        name = str(frame.path) if isinstance(frame, RawFrame) else f"dark frame {index}"
-        counts = frame.counts if isinstance(frame, RawFrame) else np.asarray(frame)
+        name = str(frame.path) if isinstance(frame, RawHead) else f"dark frame {index}"
+        counts = frame.counts[:] if isinstance(frame, RawFrame | StreamedFrame) else np.asarray(frame)
         shape = shape or counts.shape
         if counts.ndim != 2 or counts.shape != shape or not np.isfinite(counts).all():
             what = f"it is {counts.shape} where {shape} and finite counts are needed"
@@ -227,8 +227,8 @@ class Subtrahend:
 
     Attributes
     ----------
-    level_dn : tuple of ndarray, each (H, W) or (1, 1)
-        What to subtract from each frame.
+    level_dn : tuple of ndarray, each (H, W), (2, 2) or (1, 1)
+        What to subtract from each frame; a cell of 2 x 2 repeats over the mosaic.
     variance_dn2 : tuple of float
         Variance of each level that is independent between frames.
     common_dn2 : tuple of float
@@ -270,7 +270,7 @@ def subtrahend(dark: Dark, stack: Stack, sensor: SensorModel | None = None) -> S
     BadInput
         Darks that do not fit the frames, or that cannot tell the level at their exposures.
     """
-    if isinstance(dark, Sequence) and dark and all(isinstance(d, RawFrame | str | os.PathLike) for d in dark):
+    if isinstance(dark, Sequence) and dark and all(isinstance(d, RawHead | str | os.PathLike) for d in dark):
         dark = DarkModel.from_frames(dark)
     if isinstance(dark, DarkModel):
         return _from_model(dark, stack)
@@ -278,7 +278,8 @@ def subtrahend(dark: Dark, stack: Stack, sensor: SensorModel | None = None) -> S
     if dark is None:
         black = sensor.black_dn if sensor is not None else None
         cell = np.reshape(black, (2, 2)) if black is not None else stack.black_dn
-        level = np.zeros((1, 1)) if cell is None else tile(cell, stack.shape)
+        level = np.zeros((1, 1)) if cell is None else np.asarray(cell, dtype=np.float64)
+        level = level[:1, :1] if np.all(level == level[0, 0]) else level
         levels = tuple(level + rate * seconds for seconds in stack.exposure_s)
         return Subtrahend(levels, (0.0,) * len(levels), (0.0, 0.0, 0.0), rate, None, matched=False)
     levels, raw_darks = _given_levels(dark, stack)

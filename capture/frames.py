@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture.raw import PathLike, RawFrame, read_raw
+from capture.raw import PathLike, RawFrame, RawHead, StreamedFrame, open_raw
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from capture.mosaic import Mosaic
 
-FrameLike = RawFrame | PathLike | np.ndarray
-"""One frame: read already, a file, or a 2-D array of counts."""
+FrameLike = RawFrame | StreamedFrame | PathLike | np.ndarray
+"""One frame: read already or opened, a file, or a 2-D array of counts."""
 
 Frames = Sequence[FrameLike] | np.ndarray
 """Several frames: a sequence of `FrameLike`, or an array of shape (N, H, W) or (H, W)."""
@@ -31,8 +31,8 @@ class Stack:
 
     Attributes
     ----------
-    counts : tuple of ndarray, each of shape (H, W)
-        As delivered, black included, in DN.
+    counts : tuple of Mosaic, each of shape (H, W)
+        As delivered, black included, in DN; large files stay on disk and are cut by rows.
     exposure_s : tuple of float
         Exposure times, same order.
     cfa : ndarray of int, shape (2, 2), or None
@@ -49,7 +49,7 @@ class Stack:
         What to call each frame in a message.
     """
 
-    counts: tuple[NDArray[Any], ...]
+    counts: tuple[Mosaic, ...]
     exposure_s: tuple[float, ...]
     cfa: NDArray[np.int64] | None
     channels: tuple[str, ...]
@@ -77,9 +77,16 @@ class Stack:
         return max(1, -(-least // pair)) * pair
 
     def thinned(self, step: int) -> Stack:
-        """Return the same stack with only every `step`-th band of rows; see `thin`."""
+        """Return the same stack with one in `step` of its pieces, in memory; see `thin`."""
         return replace(self, counts=tuple(thin(frame, step) for frame in self.counts))
 
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Return all counts, in memory."""
+        return tuple(frame[:] for frame in self.counts)
+
+
+STREAMED_PIXELS = 4_000_000
+"""Files with more pixels are read by rows while they are merged."""
 
 BAND_ROWS, BAND_COLS = 16, 128
 """Size of the pieces by which a large mosaic is sampled."""
@@ -130,15 +137,17 @@ def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | 
         No frames; shapes, cameras, CFAs, ISO settings or apertures that differ; NaN or infinite counts; a
         frame given twice; exposure times that are missing, not above 0, or of another number than the frames.
     """
-    items = [read_raw(frame) if isinstance(frame, str | os.PathLike) else frame for frame in _listed(frames)]
+    items = [_settled(frame) for frame in _listed(frames)]
     names = tuple(
-        str(item.path) if isinstance(item, RawFrame) else f"frame {n}" for n, item in enumerate(items)
+        str(item.path) if isinstance(item, RawHead) else f"frame {n}" for n, item in enumerate(items)
     )
-    raws = [item for item in items if isinstance(item, RawFrame)]
+    raws = [item for item in items if isinstance(item, RawFrame | StreamedFrame)]
     if raws and len(raws) != len(items):
         raise BadInput("RAW frames and plain arrays are mixed", todo="give one kind")
     _refuse_twins(items, names)
-    counts = tuple(item.counts if isinstance(item, RawFrame) else np.asarray(item) for item in items)
+    counts = tuple(
+        item.counts if isinstance(item, RawFrame | StreamedFrame) else np.asarray(item) for item in items
+    )
     _check_counts(counts, names)
     times = _times(exposure_s, raws, len(items), names)
     integer = all(np.issubdtype(frame.dtype, np.integer) for frame in counts)
@@ -148,6 +157,16 @@ def as_stack(frames: Frames, exposure_s: float | Sequence[float] | np.ndarray | 
     _check_same_camera(raws)
     first = raws[0]
     return Stack(counts, times, first.cfa, first.channels, first.black_dn, first.white_dn, 1.0, names)
+
+
+def _settled(frame: FrameLike) -> RawHead | NDArray[Any]:
+    """Open a file; read it if it is small, leave the counts of a large one on disk."""
+    if isinstance(frame, str | os.PathLike):
+        frame = open_raw(frame)
+    if not isinstance(frame, StreamedFrame) or math.prod(frame.counts.shape) > STREAMED_PIXELS:
+        return frame
+    head = {item.name: getattr(frame, item.name) for item in fields(RawHead)}
+    return RawFrame(counts=frame.counts[:].astype(np.uint16, copy=False), **head)
 
 
 def _listed(frames: Frames) -> list[FrameLike]:
@@ -169,9 +188,9 @@ def _refuse_twins(items: list[Any], names: tuple[str, ...]) -> None:
     for index, item in enumerate(items):
         for other in range(index):
             same_array = isinstance(item, np.ndarray) and item is items[other]
-            same_file = isinstance(item, RawFrame) and item.path.resolve() == items[other].path.resolve()
+            same_file = isinstance(item, RawHead) and item.path.resolve() == items[other].path.resolve()
             same_shot = (
-                isinstance(item, RawFrame)
+                isinstance(item, RawHead)
                 and item.shot_id is not None
                 and item.shot_id == items[other].shot_id
             )
@@ -180,23 +199,23 @@ def _refuse_twins(items: list[Any], names: tuple[str, ...]) -> None:
                 raise BadInput(what, where=names[index], todo="a frame counts once: leave one out")
 
 
-def _check_counts(counts: tuple[NDArray[Any], ...], names: tuple[str, ...]) -> None:
+def _check_counts(counts: tuple[Mosaic, ...], names: tuple[str, ...]) -> None:
     for frame, name in zip(counts, names, strict=True):
-        if frame.ndim != 2 or frame.size == 0:
+        if len(frame.shape) != 2 or 0 in frame.shape:
             raise BadInput(f"its shape is {frame.shape}", where=name, todo="a frame is a 2-D mosaic")
         if frame.shape != counts[0].shape:
             what = f"its shape is {frame.shape}, that of {names[0]} is {counts[0].shape}"
             raise BadInput(what, where=name, todo="merge frames of one camera and one crop")
         if not (np.issubdtype(frame.dtype, np.integer) or np.issubdtype(frame.dtype, np.floating)):
             raise BadInput(f"its counts are of type {frame.dtype}", where=name, todo="give real numbers")
-        if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame).all():
-            bad = int(np.count_nonzero(~np.isfinite(frame)))
+        if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame[:]).all():
+            bad = int(np.count_nonzero(~np.isfinite(frame[:])))
             raise BadInput(f"{bad} counts are NaN or infinite", where=name, todo="give the counts as stored")
 
 
 def _times(
     exposure_s: float | Sequence[float] | np.ndarray | None,
-    raws: list[RawFrame],
+    raws: Sequence[RawHead],
     number: int,
     names: tuple[str, ...],
 ) -> tuple[float, ...]:
@@ -219,7 +238,7 @@ def _times(
     return tuple(seconds for seconds in stated if seconds is not None)
 
 
-def _check_same_camera(raws: list[RawFrame]) -> None:
+def _check_same_camera(raws: Sequence[RawHead]) -> None:
     first = raws[0]
     for raw in raws[1:]:
         differs = {
@@ -240,6 +259,18 @@ def tile(cell: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     """Repeat a 2 x 2 cell over a mosaic of the given shape; odd sizes cut the last cell."""
     rows, cols = shape
     return np.tile(cell, ((rows + 1) // 2, (cols + 1) // 2))[:rows, :cols]
+
+
+def over(level: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Repeat a level that is stated for a 2 x 2 cell over a mosaic; leave a constant or a whole one.
+
+    Parameters
+    ----------
+    level : ndarray, shape (H, W), (2, 2) or (1, 1)
+    shape : tuple of int
+        Height and width of the mosaic.
+    """
+    return tile(level, (shape[0], shape[1])) if level.shape == (2, 2) != shape else level
 
 
 def any_in_cell(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -151,7 +151,7 @@ def inspect_files(files: Sequence[PathLike], exposure_s: Sequence[float | None] 
     times = exposure_s or [None] * len(files)
     for file, seconds in zip(files, times, strict=True):
         frame = read_raw(file)
-        digest = hashlib.sha256(np.ascontiguousarray(frame.counts)).hexdigest()
+        digest = hashlib.sha256(frame.counts.tobytes()).hexdigest()
         hashes.setdefault(f"{frame.counts.shape}{digest}", []).append(str(frame.path))
         fact = _facts(frame)
         facts.append(replace(fact, exposure_s=fact.exposure_s or seconds))

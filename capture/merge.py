@@ -22,18 +22,17 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from capture.block import SUSPECT_ERROR, BlockMerger, Outputs, Rules
+from capture.bands import Source, merge_bands
+from capture.block import SUSPECT_ERROR, Outputs, Rules
 from capture.clip import Ramp, clip_levels
 from capture.dark import Dark, Subtrahend, black_cell, subtrahend
 from capture.flags import Flag
-from capture.frames import Frames, Stack, any_in_cell, as_stack, thin, thinning
+from capture.frames import Frames, Stack, any_in_cell, as_stack, over, thin, thinning
 from capture.noise import Noise, measured_noise
 
 if TYPE_CHECKING:
@@ -46,9 +45,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("gonio.capture.merge")
 
 WIDE_PIXELS = 4_000_000
-_BLOCK_PIXELS = 1 << 14
-_BLOCK_COLS = 512
-_SAMPLE_PIXELS = 60_000
+_BLOCK_SAMPLES = 150 * 1024  # of all frames: three buffers of float32 within a cache of two megabytes
+_SAMPLE_PIXELS = 30_000
 _ITERATIONS = 2
 THREADS = 2
 """Threads that merge large frames; more find no work while memory is waited for."""
@@ -169,17 +167,27 @@ def merge_stack(
     else:
         noise = _noise_of_frames(stack, dark, clip, step)
         _LOG.info(POISSON_NOTE)
+    order = sorted(range(len(stack.counts)), key=lambda index: stack.exposure_s[index])
+    source = Source(
+        counts=tuple(stack.counts[index] for index in order),
+        level_dn=tuple(dark.level_dn[index] for index in order),
+        rate_dn_per_s=dark.rate_dn_per_s,
+        hot=dark.hot,
+        clip_dn=clip,
+        black_dn=black_cell(dark),
+        band_rows=stack.band_rows,
+    )
     rules = Rules(
-        exposure_s=stack.exposure_s,
-        floor_dn2=tuple(noise.floor_dn2 + variance for variance in dark.variance_dn2),
+        exposure_s=tuple(stack.exposure_s[index] for index in order),
+        floor_dn2=tuple(noise.floor_dn2 + dark.variance_dn2[index] for index in order),
         gain_dn_per_e=noise.gain_dn_per_e,
         common_dn2=dark.common_dn2,
-        shortest=stack.shortest,
+        shortest=len(stack.shortest),
         iterations=_ITERATIONS if sensor is not None else 0,
         limits=_chi_square_limits(len(stack.counts)),
     )
     out = _outputs(stack.shape, reuse, chi_square=chi_square)
-    _merge_blocks(stack, dark, clip, rules, out)
+    merge_bands(source, rules, out, block_samples=_BLOCK_SAMPLES, threads=THREADS)
     merged = Merged(out.radiance, out.variance, out.flags)
     merged.chi_square, merged.samples = out.chi_square, out.samples
     merged.report = MergeReport(
@@ -197,12 +205,13 @@ def _noise_of_frames(stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], 
     """Gain and floor from a part of the frames, or unit gain where they do not show it."""
     least = stack.quantisation_step_dn**2 / 12.0
     part = stack.thinned(step)
-    counts = [frame.astype(np.float64) for frame in part.counts]
+    counts = [frame.astype(np.float64) for frame in part.arrays()]
     ramp = Ramp(clip, black_cell(dark), part.shape, np.dtype(np.float64))
     usable = np.stack([(ramp.weights(frame) >= 1.0) & ~any_in_cell(ramp.clipped(frame)) for frame in counts])
     if dark.hot is not None:
         usable &= ~thin(dark.hot, step)
-    signal = np.stack([frame - thin(level, step) for frame, level in zip(counts, dark.level_dn, strict=True)])
+    levels = [over(thin(level, step), part.shape) for level in dark.level_dn]
+    signal = np.stack([frame - level for frame, level in zip(counts, levels, strict=True)])
     number = len(counts)
     times = np.asarray(stack.exposure_s)
     found = measured_noise(signal.reshape(number, -1), usable.reshape(number, -1), times, least)
@@ -220,63 +229,6 @@ def _outputs(shape: tuple[int, int], reuse: Merged | None, *, chi_square: bool) 
         return Outputs(np.empty(shape, dtype), np.empty(shape, dtype), np.zeros(shape, np.uint8), *maps)
     reuse.flags[:] = 0
     return Outputs(reuse.radiance, reuse.variance, reuse.flags, *maps)
-
-
-def _merge_blocks(
-    stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], rules: Rules, out: Outputs
-) -> None:
-    """Merge all blocks, on two threads where there is more than one band of them."""
-    rows, cols = stack.shape
-    dtype = out.radiance.dtype
-    wide = min(cols, _BLOCK_COLS)
-    block = (min(rows, max(2, _BLOCK_PIXELS // wide // 2 * 2)), wide)
-    ramp = Ramp(clip, black_cell(dark), block, dtype)
-    deep = stack.band_rows(block[0])
-    bands = [slice(start, min(start + deep, rows)) for start in range(0, rows, deep)]
-    workers = min(len(bands), os.cpu_count() or 1, THREADS)
-
-    def work(part: list[slice]) -> None:
-        merger = BlockMerger(rules, ramp, block, dtype)
-        for band in part:
-            _merge_band(merger, block, band, stack, dark, out)
-
-    if workers == 1:
-        work(bands)
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(work, [bands[worker::workers] for worker in range(workers)]))
-
-
-def _merge_band(
-    merger: BlockMerger, block: tuple[int, int], band: slice, stack: Stack, dark: Subtrahend, out: Outputs
-) -> None:
-    """Merge the blocks of a band of rows, which begins at an even row."""
-    frames = [frame[band] for frame in stack.counts]
-    dtype = out.radiance.dtype
-    levels = [_part(level, band).astype(dtype, copy=False) for level in dark.level_dn]
-    rate = _part(dark.rate_dn_per_s, band).astype(dtype, copy=False)
-    whole = Outputs(*(None if values is None else values[band] for values in out))
-    height, width = whole.radiance.shape
-    for top in range(0, height, block[0]):
-        for left in range(0, width, block[1]):
-            place = (slice(top, top + block[0]), slice(left, left + block[1]))
-            merger.merge(
-                [frame[place] for frame in frames],
-                [_block_of(level, place) for level in levels],
-                _block_of(rate, place),
-                Outputs(*(None if values is None else values[place] for values in whole)),
-            )
-    if dark.hot is not None:
-        whole.flags[:] |= dark.hot[band].view(np.uint8) * np.uint8(Flag.HOT)
-
-
-def _block_of(values: NDArray[Any], place: tuple[slice, slice]) -> NDArray[Any]:
-    return values if values.size == 1 else values[place]
-
-
-def _part(values: NDArray[Any], rows: slice) -> NDArray[Any]:
-    """Rows of a mosaic, or the (1, 1) array that stands for a constant one."""
-    return values if values.size == 1 else values[rows]
 
 
 def _chi_square_limits(frames: int) -> NDArray[np.float64]:

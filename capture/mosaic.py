@@ -78,6 +78,11 @@ class FileMosaic:
         """Type of the counts that `__getitem__` returns."""
         return np.dtype(np.uint16) if self.compressed else self.stored.newbyteorder("=")
 
+    @property
+    def band_rows(self) -> int:
+        """Rows that are best read at once: none is decoded twice."""
+        return self.segment_shape[0] if self.compressed else 1
+
     def __getitem__(self, rows: slice) -> NDArray[Any]:
         """Read rows; a step other than 1 is not supported.
 
@@ -117,7 +122,7 @@ class FileMosaic:
         file.seek(self.offsets[segment] + skipped * pitch)
         direct = place.flags.c_contiguous and cols == wide and self.stored.isnative
         part = place if direct else np.empty((rows, wide), self.stored)
-        view = memoryview(part).cast("B")
+        view = memoryview(part.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # numpy's arrays are buffers
         done = 0
         while done < len(view) and (got := file.readinto(view[done:])):
             done += got

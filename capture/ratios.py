@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture.clip import Ramp
-from capture.frames import any_in_cell, thin, thinning
+from capture.frames import any_in_cell, over, thin, thinning
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,16 +113,17 @@ def measure_ratios(stack: Stack, dark: Subtrahend, clip_dn: NDArray[np.float64])
     step = thinning(stack.shape, _SAMPLE_PIXELS)
     part = stack.thinned(step)
     order = sorted(range(len(part.counts)), key=lambda index: part.exposure_s[index])
-    levels = [thin(level, step) for level in dark.level_dn]
+    frames = part.arrays()
+    levels = [over(thin(level, step), part.shape) for level in dark.level_dn]
     usable = np.ones(part.shape, dtype=bool) if dark.hot is None else ~thin(dark.hot, step)
     black = float(np.median(levels[0]))
     span = float(np.min(clip_dn)) - black
     ramp = Ramp(clip_dn, np.full((2, 2), black), part.shape, np.dtype(np.float64))
     ratios = []
     for shorter, longer in itertools.pairwise(order):
-        counts = part.counts[longer].astype(np.float64)
+        counts = frames[longer].astype(np.float64)
         beside = any_in_cell(ramp.clipped(counts))
-        low = part.counts[shorter] - levels[shorter].astype(np.float64)
+        low = frames[shorter] - levels[shorter].astype(np.float64)
         high = counts - levels[longer]
         nominal = part.exposure_s[longer] / part.exposure_s[shorter]
         attempts = [(usable & ~beside, bottom, True) for bottom in TRUSTED_BOTTOM_DN]

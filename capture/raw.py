@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from capture.mosaic import Mosaic
 
+_MOST_BAND_ROWS = 1024
+
 PathLike = str | os.PathLike[str]
 
 
@@ -193,11 +195,13 @@ def read_raw(path: PathLike) -> RawFrame:
 def open_raw(path: PathLike) -> StreamedFrame:
     """Open one RAW file whose counts are read by rows, later; arguments and errors as of `read_raw`.
 
-    A file that only LibRaw can decode is decoded once, now, and its counts put aside on disk.
+    A file that can only be decoded as a whole is decoded once, now, and its counts put aside on disk.
     """
     path = Path(path)
     mosaic, tags = _opened(path)
     if mosaic is not None:
+        if getattr(mosaic, "band_rows", 1) > _MOST_BAND_ROWS:
+            mosaic = SpilledMosaic(mosaic[:])
         return StreamedFrame(counts=mosaic, **_head_from_tags(path, mosaic.dtype, tags))
     frame = _frame_from_libraw(path, tags)
     head = {item.name: getattr(frame, item.name) for item in fields(RawHead)}

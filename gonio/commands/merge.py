@@ -9,7 +9,7 @@ they refute the stated times, the merge uses the fitted ones.
 
 --inspect merges nothing and tells what each file states (camera, ISO, time, aperture, black, clip level),
 what its counts show (clip level, bits in use, covered pixels), and what to know before they are merged: the
-same picture twice, settings that changed between frames, a black level that drifts, counts that were stretched.
+same picture twice, settings that changed between frames, a black level that drifts, stretched counts.
 
 The .npz of --out holds radiance (DN/s), variance, flags, exposure_s (used), exposure_nominal_s, clip_dn, cfa,
 channels, files.
@@ -112,8 +112,8 @@ def _run_inspection(options: argparse.Namespace) -> int:
         what = f"{len(given)} exposure times for {len(options.files)} files"
         raise BadInput(what, where="--exposure-s", todo="give one per file, in order")
     files = [*options.files, *options.dark]
-    times = given or [exposure_from_name(file) for file in options.files]
-    found = inspect_files(files, [*times, *(exposure_from_name(file) for file in options.dark)])
+    named = [exposure_from_name(file) for file in files]
+    found = inspect_files(files, [*given, *named[len(given) :]] if given else named)
     if options.json:
         print_json(asdict(found))
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,11 @@ from capture.merge import Flag, merge
 from capture.ratios import fit_exposures, measure_ratios
 from capture.sensor import SensorModel
 from rig.errors import BadInput
+from simulator.dng import DngMeta, write_dng
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
 GAIN, READ_DN, CLIP, BLACK = 0.4, 3.0, 16383, 512
@@ -198,14 +202,14 @@ def test_order_blocks_and_containers_do_not_matter(
     frames = rng.integers(0, 17000, (3, rows, cols)).astype(np.uint16)
     times = np.array([0.1, 0.2, 0.4])
     expected = merge(frames, times, dark=10.0, sensor=SENSOR)
-    old = merge_module._BLOCK_PIXELS
+    old = merge_module._BLOCK_SAMPLES
     try:
-        merge_module._BLOCK_PIXELS = block
+        merge_module._BLOCK_SAMPLES = block
         found = merge(
             [frames[i] for i in order], times[order], dark=np.full((rows, cols), 10.0), sensor=SENSOR
         )
     finally:
-        merge_module._BLOCK_PIXELS = old
+        merge_module._BLOCK_SAMPLES = old
     assert np.allclose(found.radiance, expected.radiance, rtol=1e-12, atol=1e-9)
     assert np.allclose(found.variance, expected.variance, rtol=1e-12)
     assert np.array_equal(found.flags, expected.flags)
@@ -223,6 +227,77 @@ def test_large_frames_in_float32_equal_float64(monkeypatch: pytest.MonkeyPatch) 
     assert narrow.radiance.dtype == np.float32
     assert np.all(np.abs(narrow.radiance - wide.radiance) < 0.01 * np.sqrt(wide.variance))
     assert np.allclose(narrow.variance, wide.variance, rtol=1e-3)
+
+
+def test_large_files_are_merged_by_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch a seam between bands, or a streamed file merged otherwise than the same one in memory."""
+    frames = expose(10 ** np.random.default_rng(3).uniform(1, 6, SHAPE))
+    files = []
+    for number, (counts, seconds) in enumerate(zip(frames, TIMES, strict=True)):
+        meta = DngMeta(Fraction(str(seconds)), (512, 510, 514, 512), CLIP)
+        files.append(tmp_path / f"{number}.dng")
+        write_dng(files[-1], counts, meta, lossless=bool(number % 2))
+    expected = merge(files, None, sensor=SENSOR)
+    monkeypatch.setattr("capture.frames.STREAMED_PIXELS", 0)
+    monkeypatch.setattr("capture.raw._MOST_BAND_ROWS", 64)
+    found = merge(files, None, sensor=SENSOR)
+    for one, other in zip(found, expected, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_chi_square_map_and_reused_arrays() -> None:
+    """Would catch a map that is not of the frames' scatter, or arrays that keep flags of an earlier merge."""
+    radiance = np.full(SHAPE, 5e3)
+    found = merge(expose(radiance), TIMES, dark=float(BLACK), sensor=SENSOR, chi_square=True)
+    assert found.chi_square is not None
+    assert found.samples is not None
+    assert np.all(found.samples == 4)
+    assert found.chi_square.mean() == pytest.approx(3.0, abs=0.03)
+    assert found.chi_square.var() == pytest.approx(6.0, abs=0.2)
+    poisson = merge(expose(radiance), TIMES, dark=float(BLACK), chi_square=True)
+    assert poisson.chi_square is not None
+    assert poisson.chi_square.mean() == pytest.approx(3.0, abs=0.1)
+    clipped = merge(expose(1e7), TIMES, dark=float(BLACK), sensor=SENSOR)
+    again = merge(expose(radiance), TIMES, dark=float(BLACK), sensor=SENSOR, out=clipped)
+    assert again.radiance is clipped.radiance
+    assert np.array_equal(again.radiance, found.radiance)
+    assert np.array_equal(again.flags, found.flags)
+    assert again.chi_square is None
+
+
+@pytest.mark.parametrize("dark", [float(BLACK), "model", "maps"])
+@pytest.mark.parametrize("sensor", [SENSOR, None])
+def test_merge_is_the_formula(dark: Any, sensor: SensorModel | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Would catch any short cut of the blocks that changes the estimate, its variance or chi-square."""
+    monkeypatch.setattr(merge_module, "_BLOCK_SAMPLES", 4 * 512 * 40)
+    frames = expose(10 ** np.random.default_rng(3).uniform(1, 4.1, SHAPE))
+    if dark == "maps":
+        dark = [np.full(SHAPE, float(BLACK)) for _ in TIMES]
+    elif dark == "model":
+        darks = np.stack([expose(0.0, TIMES, seed=seed) for seed in (5, 6)]).reshape(-1, *SHAPE)
+        dark = DarkModel.from_frames(darks, np.tile(TIMES * 1.3, 2))
+    found = merge(frames, TIMES, dark=dark, sensor=sensor, chi_square=True)
+    stack = as_stack(frames, TIMES)
+    levels = subtrahend(dark, stack, sensor)
+    noise, t = found.report.noise, TIMES[:, np.newaxis, np.newaxis]
+    x = np.stack(
+        [counts - level.astype(float) for counts, level in zip(frames, levels.level_dn, strict=True)]
+    )
+    floor = noise.floor_dn2 + np.array(levels.variance_dn2)[:, np.newaxis, np.newaxis]
+    radiance, factor = x.sum(axis=0) / t.sum(), np.ones_like(x)
+    variance = noise.gain_dn_per_e * (np.maximum(radiance, 0) + levels.rate_dn_per_s) * t + floor
+    for _ in range(2 if sensor else 0):
+        variance = noise.gain_dn_per_e * (np.maximum(radiance, 0) + levels.rate_dn_per_s) * t + floor
+        factor = t / variance
+        radiance = (factor * x).sum(axis=0) / (factor * t).sum(axis=0)
+    total, (bias, both, rate) = (factor * t).sum(axis=0), levels.common_dn2
+    lever = factor.sum(axis=0) / total
+    expected = (factor**2 * variance).sum(axis=0) / total**2 + (bias * lever + 2 * both) * lever + rate
+    chi_square = ((x - radiance * t) ** 2 / variance).sum(axis=0)
+    assert np.allclose(found.radiance, radiance, rtol=1e-10, atol=1e-10)
+    assert np.allclose(found.variance, expected, rtol=1e-9)
+    assert found.chi_square is not None
+    assert np.allclose(found.chi_square, chi_square, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(
