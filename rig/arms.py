@@ -63,8 +63,8 @@ class Arms:
         station : str, optional
             What the wheel brings to the centre; None leaves it as it is.
         leading : bool
-            On the way to a pose, as from `lead_in`: the angles need only keep the limits, and the wheel too goes
-            only to where its approach begins.
+            On the way to a pose, as from `lead_in`: the angles need only keep the limits, and the wheel goes
+            only to where its own approach begins.
 
         Raises
         ------

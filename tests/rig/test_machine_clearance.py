@@ -67,8 +67,8 @@ def test_the_arms_go_round_what_is_in_their_way(moving_twin: Twin, moving_rig: R
         stops = [np.array(machine.move(BEFORE).angles_rad)]
         move = machine.arms.move
 
-        def spied(angles_rad: tuple[float, ...], station: str | None = None) -> object:
-            held = move(angles_rad, station)
+        def spied(angles_rad: tuple[float, ...], station: str | None = None, **how: bool) -> object:
+            held = move(angles_rad, station, **how)
             stops.append(np.array(held.angles_rad))
             return held
 
