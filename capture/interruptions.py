@@ -16,18 +16,18 @@ SKIPPED = "skipped"
 REFERENCE = "reference"
 """Kind of the event of a comparison with a reference pose."""
 
-INTERRUPTIONS = (
-    "retry",
-    SKIPPED,
-    "paused",
-    "moved",
-    "withdrawn",
-    "interrupted",
-    "incomplete",
-    "failed",
-    "resumed",
-)
-"""Kinds of event of which a person who judges the data should know, in the order of their weight."""
+INTERRUPTIONS = {
+    "retry": "shots made again",
+    SKIPPED: "poses skipped",
+    "paused": "pauses",
+    "moved": "poses shot anew from elsewhere",
+    "withdrawn": "frames lost",
+    "interrupted": "stopped by a person",
+    "incomplete": "ended with poses missing",
+    "failed": "ended by a fault",
+    "resumed": "resumed",
+}
+"""Kinds of event of which a person who judges the data should know, and in words what their count counts."""
 
 
 @dataclass(frozen=True, slots=True)
