@@ -203,21 +203,22 @@ def reduce_pose(
     white_geometry = sample_geometry if same_pose else pixel_geometry(rig, white.angles_rad)
     geometries = (sample_geometry, white_geometry)
     seen = np.logical_and.reduce([_well_seen(rig, geometry, options) for geometry in geometries])
-    pixels = _signals(images, geometries, _to_unit_f(rig, geometries, reference), seen)
+    pixels = _signals(images, geometries, _to_unit_f(rig, geometries, reference, mosaic.channel), seen)
     binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
     u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, images, bins, u_joint_rad)
     u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
     kept = np.flatnonzero((binned.dropped == 0).any(axis=1))
     d_wi, d_wo = _direction_derivatives(rig, sample.angles_rad, bins)
     ratio, wi, wo = binned.ratio[kept], binned.wi[kept], binned.wo[kept]
-    relative_reference = reference.u_rho / reference.rho(wi, wo)
+    everywhere = (wi[:, np.newaxis], wo[:, np.newaxis], np.arange(len(mosaic.names)))
+    relative_reference = reference.u_rho(*everywhere) / reference.rho(*everywhere)
     return PoseSamples(
         wi=wi,
         wo=wo,
         f_r=ratio,
         u_noise=binned.u_signal[kept],
         u_white=np.hypot(binned.u_reference, np.abs(binned.ratio) * u_geometry)[kept],
-        u_reference=np.abs(ratio) * relative_reference[:, None],
+        u_reference=np.abs(ratio) * relative_reference,
         u_binning=np.where(np.isfinite(ratio), u_binning[kept], np.nan),
         dropped=binned.dropped[kept],
         bin_index=kept,
@@ -229,13 +230,16 @@ def reduce_pose(
 
 
 def _to_unit_f(
-    rig: Rig, geometries: tuple[PixelGeometry, PixelGeometry], reference: WhiteReference
+    rig: Rig,
+    geometries: tuple[PixelGeometry, PixelGeometry],
+    reference: WhiteReference,
+    channel: Int,
 ) -> tuple[Float, Float]:
     """Give the factor from the white to what f = 1/sr would signal, and the irradiance on the sample."""
     white = geometries[1]
     e_sample, e_white = (irradiance(rig, geometry) for geometry in geometries)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.pi / reference.rho(white.wi, white.wo) * e_sample / e_white, e_sample
+        return np.pi / reference.rho(white.wi, white.wo, channel) * e_sample / e_white, e_sample
 
 
 def _signals(

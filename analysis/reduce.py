@@ -18,6 +18,8 @@ from analysis.measurement import Options, PoseSamples, reduce_pose
 from analysis.samples import make_samples
 from analysis.session_images import SessionImages
 from analysis.white import white_of
+from analysis.white_calibration import WHITE_FILE, load_white
+from capture.session import CALIBRATION_FOLDER
 from rig.errors import BadInput
 from rig.pixels import receiver_solid_angle_sr, source_solid_angle_sr
 from rig.ticks import tick_rad
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from analysis.session_images import PosePair
+    from analysis.white import WhiteReference
     from capture.session import Session
     from rig.description import Rig
 
@@ -87,8 +90,8 @@ def reduce_session(
     options = options or Options()
     images = SessionImages(session)
     pairs = images.pairs()
-    reference = white_of(session.rig)
     mosaic = images.mosaic()
+    reference = session_white(session, len(mosaic.names))
     u_joint_rad = joint_resolution(session.rig)
 
     def one(pair: PosePair) -> ReducedPose:
@@ -103,9 +106,22 @@ def reduce_session(
             poses.append(reduced)
             if progress is not None:
                 progress()
+    provenance = images.provenance() | {"white": reference.name}
     return assemble(
-        session.rig, poses, mosaic.names, options=options, source=session.name, provenance=images.provenance()
+        session.rig, poses, mosaic.names, options=options, source=session.name, provenance=provenance
     )
+
+
+def session_white(session: Session, channels: int) -> WhiteReference:
+    """Give the white of a session: of its own calibration where there is one, else generic.
+
+    Raises
+    ------
+    BadInput
+        A calibration file that cannot be used.
+    """
+    path = session.folder / CALIBRATION_FOLDER / WHITE_FILE
+    return white_of(session.rig, load_white(path) if path.is_file() else None, channels)
 
 
 def joint_resolution(rig: Rig) -> Float:

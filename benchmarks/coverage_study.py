@@ -21,7 +21,7 @@ from analysis.fit import fit
 from analysis.measurement import Image, Mosaic, Options, PoseImages, reduce_pose
 from analysis.reduce import ReducedPose, assemble, joint_resolution
 from analysis.table import parameter_rows
-from analysis.white import white_of
+from analysis.white import LambertianWhite
 from capture.dark import DarkModel
 from capture.merge import merge
 from gonio.demo_samples import SAMPLES, DemoSample, Pose
@@ -112,7 +112,7 @@ def measure(bench: Bench, sample: DemoSample) -> xr.Dataset:
     rig = bench.rig
     shape = (rig.camera.height_px, rig.camera.width_px)
     mosaic = Mosaic.repeat(np.array(RGGB), CHANNELS, shape)
-    options, reference, u_joint = Options(), white_of(rig), joint_resolution(rig)
+    options, reference, u_joint = Options(), LambertianWhite.of(rig), joint_resolution(rig)
     poses = []
     for number, pose in enumerate(sample.poses):
         ticks, measured, true = bench.held(pose)

@@ -221,13 +221,15 @@ def write_calibration(folder: Path, sensor: Sensor) -> Path:
     Returns
     -------
     Path
-        `calibration/sensor.toml` in that folder.
+        `calibration/sensor.toml` in that folder; `white.toml` is beside it.
     """
+    from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
     from capture.sensor import save_sensor
 
     path = folder / "calibration" / "sensor.toml"
     path.parent.mkdir(parents=True, exist_ok=True)
     save_sensor(sensor.calibration(), path)
+    save_white(WhiteCalibration(lambertian=True, note="the twin's white"), path.with_name(WHITE_FILE))
     return path
 
 

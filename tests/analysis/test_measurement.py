@@ -11,7 +11,7 @@ import pytest
 from analysis.measurement import Image, Mosaic, Options, PoseImages, reduce_pose
 from analysis.models import MODELS
 from analysis.reduce import ReducedPose, assemble, joint_resolution
-from analysis.white import LambertianWhite, white_of
+from analysis.white import LambertianWhite
 from capture.merge import Flag
 from rig.kinematics import Kinematics
 from rig.pixels import irradiance, pixel_geometry
@@ -66,7 +66,7 @@ def reduce_one(default_rig: Rig) -> Callable[..., PoseSamples]:
             rig,
             images,
             mosaic,
-            white_of(rig),
+            LambertianWhite.of(rig),
             u_joint_rad=joint_resolution(rig),
             options=Options(**options),
         )

@@ -12,6 +12,7 @@ import pytest
 
 from analysis.models import MODELS
 from analysis.reduce import reduce_session
+from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
 from capture.records import PoseFlag
 from capture.session import FrameRecord, PoseRecord
 from rig.errors import BadInput
@@ -56,6 +57,8 @@ class Studio:
         self.rig, self.folder = rig, folder
         self.sensor = Sensor(rig.camera.width_px, rig.camera.height_px, serial="TEST", seed=4)
         self.session = RecordedSession(folder, rig, self.sensor.calibration())
+        (folder / "calibration").mkdir(exist_ok=True)
+        save_white(WhiteCalibration(lambertian=True), folder / "calibration" / WHITE_FILE)
 
     def pose(self, index: int, theta_i_deg: float, theta_o_deg: float) -> tuple[tuple[int, ...], np.ndarray]:
         """Ticks of all servos and angles of the arms at a pose in the plane of incidence."""
