@@ -6,9 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rig.control_table import CONTROL_TABLE, DriveMode, HardwareError, OperatingMode
+from rig import bus_watchdog
+from rig.control_table import CONTROL_TABLE, OperatingMode
 from rig.errors import BadInput, DeviceLost, Refused
 from rig.packets import PortLost
+from rig.servo_found import HandshakeRow, ServoFound
 from rig.servo_models import MODEL_NAMES, MODELS
 from rig.ticks import rad_to_ticks, tick_rad
 
@@ -21,10 +23,9 @@ if TYPE_CHECKING:
 RPM_PER_DEG_S = 1.0 / 6.0
 RPM2_PER_DEG_S2 = 10.0
 
-_EEPROM_SHOWN = ("return_delay_time", "drive_mode", "operating_mode")
+_EEPROM_SHOWN = ("baud_rate", "return_delay_time", "drive_mode", "operating_mode", "homing_offset")
 _LIMITS = ("max_position_limit", "min_position_limit")
 _HEALTH = ("present_input_voltage", "present_temperature")
-_UNUSABLE_DRIVE = DriveMode.REVERSE | DriveMode.TIME_BASED_PROFILE
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,68 +129,6 @@ def _counts(value: float, register: str) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class ServoFound:
-    """What one servo said of itself; of a wrong model only model and firmware, its table may differ."""
-
-    model_number: int
-    firmware: int
-    registers: Mapping[str, int]
-
-    @property
-    def model(self) -> str:
-        """Model name, or its number where the name is unknown."""
-        return MODEL_NAMES.get(self.model_number, f"model {self.model_number}")
-
-    @property
-    def errors(self) -> str:
-        """Standing hardware errors in words, "" when healthy."""
-        return describe_errors(self.registers.get("hardware_error_status", 0))
-
-
-@dataclass(frozen=True, slots=True)
-class HandshakeRow:
-    """One servo: expected, found, and what does not fit."""
-
-    spec: ServoSpec
-    found: ServoFound | None
-
-    @property
-    def fault(self) -> str:
-        """Why the machine cannot be used with this servo, "" when it can."""
-        if self.found is None:
-            return "does not answer"
-        if self.found.model != self.spec.model:
-            return f"is a {self.found.model}, expected {self.spec.model}"
-        if self.found.errors:
-            return f"reports {self.found.errors}"
-        drive = DriveMode(self.found.registers["drive_mode"]) & _UNUSABLE_DRIVE
-        if drive:
-            return f"has drive mode {drive.name}, expected neither reverse nor time-based"
-        return ""
-
-    @property
-    def differences(self) -> dict[str, tuple[int, int]]:
-        """EEPROM registers that differ: name -> (found, wanted)."""
-        if self.found is None or not self.found.registers:
-            return {}
-        found = self.found.registers
-        return {n: (found[n], wanted) for n, wanted in self.spec.eeprom.items() if found[n] != wanted}
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        spec = {"id": self.spec.servo_id, "joint": self.spec.name, "model": self.spec.model}
-        result: dict[str, Any] = {"expected": spec, "found": None, "fault": self.fault}
-        if self.found is not None:
-            result["found"] = {
-                "model": self.found.model,
-                "firmware": self.found.firmware,
-                **self.found.registers,
-            }
-            result["to_write"] = {name: list(pair) for name, pair in self.differences.items()}
-        return result
-
-
-@dataclass(frozen=True, slots=True)
 class Handshake:
     """Everything expected and found on a servo bus.
 
@@ -210,11 +149,12 @@ class Handshake:
 
     def table(self) -> str:
         """Write expected against found, a line per servo."""
-        head = ("id", "joint", "expected", "found", "firmware", "mode", "limits", "torque", "state")
-        lines = [head, *map(_cells, self.rows)]
+        head = ("id", "joint", "expected", "found", "firmware", "baud", "mode", "limits", "torque", "state")
+        lines = [head, *(row.cells() for row in self.rows)]
         for servo_id, (model, firmware) in self.strangers.items():
             found = MODEL_NAMES.get(model, str(model))
-            lines.append((str(servo_id), "-", "-", found, str(firmware), "", "", "", "not in the rig file"))
+            unread = ("",) * 4
+            lines.append((str(servo_id), "-", "-", found, str(firmware), *unread, "not in the rig file"))
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         return "\n".join(
             "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
@@ -254,32 +194,6 @@ class Handshake:
         return {"port": self.port, "servos": [row.as_dict() for row in self.rows], "strangers": strangers}
 
 
-def _cells(row: HandshakeRow) -> tuple[str, ...]:
-    spec, found = row.spec, row.found
-    start = (str(spec.servo_id), spec.name, spec.model)
-    if found is None:
-        return (*start, "-", "", "", "", "", row.fault)
-    if not found.registers:
-        return (*start, found.model, str(found.firmware), "", "", "", row.fault)
-    registers = found.registers
-    state = row.fault or ("ok" if not row.differences else "ok; to write: " + ", ".join(row.differences))
-    return (
-        *start,
-        found.model,
-        str(found.firmware),
-        str(registers["operating_mode"]),
-        f"{registers['min_position_limit']}..{registers['max_position_limit']}",
-        "on" if registers["torque_enable"] else "off",
-        state,
-    )
-
-
-def describe_errors(status: int) -> str:
-    """Hardware error bits in words: `overheating and overload`."""
-    names = [error.name or str(error.value) for error in HardwareError if status & error]
-    return " and ".join(name.lower().replace("_", " ") for name in names)
-
-
 def shake_hands(bus: ServoBus, specs: Sequence[ServoSpec]) -> Handshake:
     """Ask every expected servo who it is; nothing moves; only whether it answers is written.
 
@@ -311,7 +225,8 @@ def _find(bus: ServoBus, spec: ServoSpec) -> ServoFound | None:
 
 
 def _shown() -> tuple[str, ...]:
-    return (*_EEPROM_SHOWN, *_LIMITS, "torque_enable", "hardware_error_status", "homing_offset", *_HEALTH)
+    state = ("torque_enable", "hardware_error_status", bus_watchdog.REGISTER)
+    return (*_EEPROM_SHOWN, *_LIMITS, *state, *_HEALTH)
 
 
 def _registers(bus: ServoBus, servo_id: int) -> dict[str, int]:

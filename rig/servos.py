@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from rig import bus_watchdog
 from rig.errors import DeviceLost, GonioError, Refused, Unsafe
-from rig.handshake import Handshake, ServoSpec, configure, describe_errors, shake_hands
+from rig.handshake import Handshake, ServoSpec, configure, shake_hands
+from rig.servo_found import describe_errors
 from rig.stop_report import PartStop, StopOutcome, StopReport
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import threading
 from typing import TYPE_CHECKING
 
 from rig.errors import DeviceLost, GonioError, Unsafe
-from rig.handshake import describe_errors
 from rig.packets import PortLost
+from rig.servo_found import describe_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

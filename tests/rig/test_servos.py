@@ -139,6 +139,27 @@ def test_a_standing_hardware_error_refuses_the_machine(body: Callable[..., Body]
         one.servos.attach()
 
 
+def test_the_runaway_combination_is_refused(body: Callable[..., Body]) -> None:
+    """Catches a servo whose watchdog would start its motor: its firmware runs away on silence."""
+    one = body()
+    for name, value in (("homing_offset", 100), ("operating_mode", 4), ("bus_watchdog", 127)):
+        one.bus.write(2, name, value)
+    with pytest.raises(Refused, match=r"servo 2 \(camera_azimuth\) is in extended mode with a homing offset"):
+        one.servos.attach()
+    assert all(servo.value("torque_enable") == 0 for servo in one.bench.servos.values())
+    one.bus.write(2, "bus_watchdog", 0)
+    one.servos.attach()  # without it there is nothing to run away from, and the mode is put right
+    assert one.bench.servos[2].value("operating_mode") == 3
+
+
+def test_old_firmware_is_refused(body: Callable[..., Body]) -> None:
+    """Catches a servo without the registers that the driver relies on, such as the bus watchdog."""
+    one = body()
+    one.bench.servos[3]._registers.set("firmware_version", 37)
+    with pytest.raises(Refused, match="has firmware 37, needs 38"):
+        one.servos.attach()
+
+
 def test_attach_writes_limits_and_profile_and_moves_nothing(body: Callable[..., Body]) -> None:
     """Catches limits that stay the factory's, a profile without limit, torque before the goal is here."""
     one = body()
@@ -311,7 +332,7 @@ def test_halt_stops_a_moving_arm_where_it_is(body: Callable[..., Body]) -> None:
 
 
 def test_nobody_waits_for_another_to_come_to_rest(body: Callable[..., Body]) -> None:
-    """Catches a stop that tells the last servo only when the first has braked: a second late at full speed."""
+    """Catches a stop that tells the last servo only when the first has braked: a second late."""
     one = body(speed=1.0, torque_on_stop="off")
     one.servos.attach()
     one.bus.sync_write("goal_position", {1: 2900, 2: 3500, 3: 2900})
