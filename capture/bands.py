@@ -13,6 +13,7 @@ from capture.block import BlockMerger, Outputs
 from capture.clip import Ramp
 from capture.flags import Flag
 from capture.frames import over
+from capture.mosaic import FileMosaic
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,8 +80,10 @@ def merge_bands(source: Source, rules: Rules, out: Outputs, *, block_samples: in
 
     def work(part: list[slice]) -> None:
         merger = BlockMerger(rules, ramp, block, dtype)
+        readers = [_Reader(frame, deep) for frame in source.counts]
         for band in part:
-            _merge_band(merger, block, source, band, _cut(out, band))
+            frames = [reader.rows(band) for reader in readers]
+            _merge_band(merger, block, (source, band, frames), _cut(out, band))
 
     if workers == 1:
         work(bands)
@@ -89,12 +92,30 @@ def merge_bands(source: Source, rules: Rules, out: Outputs, *, block_samples: in
             list(pool.map(work, [bands[worker::workers] for worker in range(workers)]))
 
 
+class _Reader:
+    """Rows of one frame; those of a file go into the same buffer again and again."""
+
+    def __init__(self, frame: Mosaic, most_rows: int) -> None:
+        self._frame = frame
+        self._buffer = (
+            np.empty((most_rows, frame.shape[1]), frame.dtype) if isinstance(frame, FileMosaic) else None
+        )
+
+    def rows(self, band: slice) -> NDArray[Any]:
+        if isinstance(self._frame, FileMosaic) and self._buffer is not None:
+            return self._frame.read(band.start, self._buffer[: band.stop - band.start])
+        return self._frame[band]
+
+
 def _merge_band(
-    merger: BlockMerger, block: tuple[int, int], source: Source, band: slice, out: Outputs
+    merger: BlockMerger,
+    block: tuple[int, int],
+    what: tuple[Source, slice, list[NDArray[Any]]],
+    out: Outputs,
 ) -> None:
     """Merge the blocks of a band of rows, which begins at an even row."""
+    source, band, frames = what
     dtype = out.radiance.dtype
-    frames = [frame[band] for frame in source.counts]
     levels = [_Level.of(level, band, block, dtype) for level in source.level_dn]
     rate = _Level.of(source.rate_dn_per_s, band, block, dtype)
     height, width = out.flags.shape

@@ -161,11 +161,12 @@ def merge_stack(
 ) -> Merged:
     """Merge checked frames with the darks that belong to them; see `merge`, whose `out` is `reuse`."""
     step = thinning(stack.shape, _SAMPLE_PIXELS)
-    clip = clip_levels(stack.thinned(step), black_cell(dark), sensor)
+    part = stack if sensor is not None else stack.thinned(step)  # a calibrated sensor asks nothing of them
+    clip = clip_levels(part, black_cell(dark), sensor)
     if sensor is not None:
         noise = Noise(sensor.gain_dn_per_e, sensor.floor_variance_dn2, "sensor model")
     else:
-        noise = _noise_of_frames(stack, dark, clip, step)
+        noise = _noise_of_frames(part, dark, clip, step)
         _LOG.info(POISSON_NOTE)
     order = sorted(range(len(stack.counts)), key=lambda index: stack.exposure_s[index])
     source = Source(
@@ -201,10 +202,9 @@ def merge_stack(
     return merged
 
 
-def _noise_of_frames(stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], step: int) -> Noise:
-    """Gain and floor from a part of the frames, or unit gain where they do not show it."""
-    least = stack.quantisation_step_dn**2 / 12.0
-    part = stack.thinned(step)
+def _noise_of_frames(part: Stack, dark: Subtrahend, clip: NDArray[np.float64], step: int) -> Noise:
+    """Gain and floor from frames thinned by a step, or unit gain where they do not show it."""
+    least = part.quantisation_step_dn**2 / 12.0
     counts = [frame.astype(np.float64) for frame in part.arrays()]
     ramp = Ramp(clip, black_cell(dark), part.shape, np.dtype(np.float64))
     usable = np.stack([(ramp.weights(frame) >= 1.0) & ~any_in_cell(ramp.clipped(frame)) for frame in counts])
@@ -213,7 +213,7 @@ def _noise_of_frames(stack: Stack, dark: Subtrahend, clip: NDArray[np.float64], 
     levels = [over(thin(level, step), part.shape) for level in dark.level_dn]
     signal = np.stack([frame - level for frame, level in zip(counts, levels, strict=True)])
     number = len(counts)
-    times = np.asarray(stack.exposure_s)
+    times = np.asarray(part.exposure_s)
     found = measured_noise(signal.reshape(number, -1), usable.reshape(number, -1), times, least)
     return found or Noise(1.0, least, "assumed")
 

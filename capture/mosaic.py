@@ -91,11 +91,15 @@ class FileMosaic:
         BadInput
             The file is gone, shorter than it was, or damaged.
         """
-        height, width = self.shape
-        start, stop, step = rows.indices(height)
+        start, stop, step = rows.indices(self.shape[0])
         if step != 1:
             raise ValueError("rows are read one after the other")
-        counts = np.empty((max(0, stop - start), width), self.dtype)
+        return self.read(start, np.empty((max(0, stop - start), self.shape[1]), self.dtype))
+
+    def read(self, start: int, counts: NDArray[Any]) -> NDArray[Any]:
+        """Read the rows from `start` on into an array, as many as it has, and return it; errors as above."""
+        height, width = self.shape
+        stop = start + len(counts)
         deep, wide = self.segment_shape
         across = -(-width // wide)
         try:
