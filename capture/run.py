@@ -24,7 +24,9 @@ from capture.plan import Plan, load_plan
 from capture.policy import Patience
 from capture.records import Role, ShotState, Visit
 from capture.reference import ReferenceGuard
+from capture.sensor_doubts import doubts_in_use, require_camera
 from capture.session import (
+    CALIBRATION_FOLDER,
     DOCUMENTS_FILE,
     JOURNAL_FILE,
     is_complete,
@@ -40,6 +42,7 @@ from rig.errors import GonioError, Refused
 from rig.machine import open_machine
 
 if TYPE_CHECKING:
+    from capture.sensor import SensorModel
     from capture.statistics import FrameStatistics
     from rig.machine import Machine
 
@@ -88,9 +91,11 @@ def capture(
     require_disk(folder, itinerary.forecast().disk_bytes)
     for reason, count in itinerary.feasible.counts.items():
         wishes.say(f"{count} poses are left out: {reason}")
-    examiner = Examiner(rig, load_session_sensor(rig.folder))
+    sensor = _sensor_of(rig.folder, rig)
+    examiner = Examiner(rig, sensor)
     with open_machine(rig, inspect=examiner.inspect) as machine:
         wishes.controls.on_abort(machine.stop)
+        _tell_doubts(sensor, machine, wishes)
         servos = {row.spec.name: row.as_dict()["found"] for row in machine.handshake.rows}
         create_session(folder, itinerary, rig_file=Path(rig_file) if rig_file else None, servos=servos)
         return _Run(folder, plan, machine, examiner, wishes).carry_out()
@@ -143,12 +148,32 @@ def resume(
     session_plan = same_plan(folder, facts, plan)
     machine_rig = same_rig(folder, facts, rig, {"servos": servos, "lamp": lamp, "frames": frames})
     same_exposures(folder, facts, Shutter.of(machine_rig).times_s)
-    examiner = Examiner(machine_rig, load_session_sensor(folder))
+    sensor = _sensor_of(folder, machine_rig)
+    examiner = Examiner(machine_rig, sensor)
     with open_machine(machine_rig, inspect=examiner.inspect) as machine:
         wishes.controls.on_abort(machine.stop)
+        _tell_doubts(sensor, machine, wishes)
         run = _Run(folder, session_plan, machine, examiner, wishes, reference_tolerance=reference_tolerance)
         run.recover()
         return run.carry_out()
+
+
+def _sensor_of(folder: Path, rig: Rig) -> SensorModel | None:
+    """Load the sensor's calibration below a folder, None where there is none; it must be of this camera."""
+    sensor = load_session_sensor(folder)
+    if sensor is not None:
+        require_camera(sensor, rig.camera.serial, None, str(folder / CALIBRATION_FOLDER / "sensor.toml"))
+    return sensor
+
+
+def _tell_doubts(sensor: SensorModel | None, machine: Machine, wishes: Wishes) -> None:
+    """Tell what speaks against the sensor's calibration here and now."""
+    if sensor is None:
+        return
+    known = sensor.lamp_temperature_deg_c is not None
+    temperature = machine.lamp.temperature_deg_c() if known else None
+    for doubt in doubts_in_use(sensor, lamp_temperature_deg_c=temperature):
+        wishes.say(doubt)
 
 
 class _Run:
