@@ -28,7 +28,7 @@ COMMANDS: dict[str, str] = {
     "rig": "the machine: check, move, park, stop",
     "plan": "poses to a TOML plan: grids, sweeps, lists",
     "capture": "run a plan into a session, or resume one",
-    "calibrate": "the sensor: gain, noise, clip level, hot pixels, from its own frames",
+    "calibrate": "the sensor from its own frames; the white from its certificate and points",
     "merge": "RAW brackets to radiance with variance",
     "reduce": "a session, or raw files by a recipe, to BRDF samples with uncertainty",
     "fit": "reflectance models to samples of any laboratory",

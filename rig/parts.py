@@ -188,9 +188,9 @@ class Station(Part):
 
 
 class White(Part):
-    """The white reference: a Lambertian diffuser."""
+    """The white reference, where `calibration/white.toml` has no certificate of it."""
 
-    rho: float = Field(0.99, gt=0, le=1, description="reflectance, above 0 to 1")
+    rho: float = Field(0.99, gt=0, le=1, description="8 deg/hemispherical reflectance, above 0 to 1")
     u_rho: float = Field(0.0005, ge=0, le=1, description="its standard uncertainty (k = 1), 0 to 1")
 
 

@@ -1,13 +1,17 @@
-"""Calibrate parts of the machine; so far its sensor.
+"""Calibrate parts of the machine: its sensor, its white.
 
 sensor  bias, dark current, hot pixels, gain and read noise (photon transfer), linearity, clip level of each
         channel, from frames of the white and of the dark that the machine shoots itself, or from a folder of
         frames (--frames-from): darks are files that say so themselves, or with "dark" in their own or their
         folder's name; all others are flats, two or more of each exposure, up to beyond clipping
+white   the plate's certificate (--certificate: lines of nm, 8 deg/hemispherical reflectance, standard
+        uncertainty) and measured reflectance factors (--points: lines of source zenith and azimuth, view
+        zenith and azimuth, factors), which narrow its shape; without a calibration the shape is a generic
+        one with a large uncertainty
 
-The result replaces calibration/sensor.toml beside the rig file; frames, maps, data sheet (JSON) and a page
-stay in a dated folder there. A frame of another camera or ISO, or a dark frame with light in it, is named,
-and nothing is replaced.
+The result replaces calibration/sensor.toml or white.toml beside the rig file. Of a sensor, frames, maps,
+data sheet (JSON) and a page stay in a dated folder there. A frame of another camera or ISO, or a dark frame
+with light in it, is named, and nothing is replaced.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from gonio.commands.rig import add_rig_options, load_rig_options
 from gonio.mounting import add_mounted_option, machine_wishes, mounted_roles
 from gonio.output import add_json_option, at_work, print_json, say
-from rig.errors import GonioError
+from rig.errors import BadInput, GonioError
 
 if TYPE_CHECKING:
     import argparse
@@ -37,25 +41,114 @@ ROLES = ("white",)
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="sensor")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="sensor|white")
     text = "gain, noise, clip level, linearity, hot pixels"
-    action = actions.add_parser("sensor", help=text, description=text)
-    add_rig_options(action)
-    action.add_argument(
+    sensor = actions.add_parser("sensor", help=text, description=text)
+    add_rig_options(sensor)
+    sensor.add_argument(
         "--frames-from", type=Path, metavar="FOLDER", help="use these frames instead of shooting any"
     )
-    action.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="calibration folder; default: calibration beside the rig file",
+    add_mounted_option(sensor, ROLES)
+    text = "certificate and shape of the white reference"
+    white = actions.add_parser("white", help=text, description=text)
+    white.add_argument("--rig", type=Path, default=Path("rig.toml"), metavar="FILE", help="default: rig.toml")
+    white.add_argument(
+        "--certificate", type=Path, metavar="FILE", help="table of nm, reflectance, uncertainty"
     )
-    add_mounted_option(action, ROLES)
-    add_json_option(action)
+    white.add_argument("--points", type=Path, metavar="FILE", help="table of reflectance factors")
+    white.add_argument(
+        "--points-nm", type=float, metavar="NM", help="band of the points (default: their mean)"
+    )
+    white.add_argument(
+        "--channel-nm",
+        default="",
+        metavar="NM,NM,NM",
+        help="effective wavelength of each channel; without, the certificate's mean over 400 to 700 nm",
+    )
+    white.add_argument("--name", metavar="TEXT", help="the plate's name")
+    for action in (sensor, white):
+        action.add_argument(
+            "--out",
+            type=Path,
+            metavar="FOLDER",
+            help="calibration folder; default: calibration beside the rig file",
+        )
+        add_json_option(action)
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate: 0 when the calibration is written, else as for every command; 130 after Ctrl-C."""
+    return _white(options) if options.action == "white" else _sensor(options)
+
+
+def _white(options: argparse.Namespace) -> int:
+    """Write the white's calibration from the files of its laboratory."""
+    import numpy as np
+
+    from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
+    from analysis.white_files import read_certificate, read_points
+    from analysis.white_shape import PtfeShape
+
+    if options.certificate is None and options.points is None:
+        todo = "give --certificate FILE, --points FILE, or both"
+        raise BadInput("nothing to calibrate the white with", where="gonio calibrate white", todo=todo)
+    calibration = WhiteCalibration(
+        certificate=read_certificate(options.certificate) if options.certificate else None,
+        points=read_points(options.points, options.points_nm) if options.points else None,
+        channel_nm=_wavelengths(options.channel_nm),
+        name=options.name,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+    if calibration.certificate is not None:
+        values, u_values = calibration.of_channels(max(len(calibration.channel_nm), 1))
+    else:
+        values = u_values = np.empty(0)
+    points = calibration.points
+    shape = PtfeShape.generic()
+    if points is not None:
+        shape = PtfeShape.fitted(points.wi, points.wo, points.factor, points.u_relative)
+    folder = options.out or options.rig.parent / "calibration"
+    folder.mkdir(parents=True, exist_ok=True)
+    save_white(calibration, folder / WHITE_FILE)
+    normal, slanted = np.array([0.0, 0.0, 1.0]), np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+    facts: dict[str, Any] = {
+        "calibration": str(folder / WHITE_FILE),
+        "rho": values.tolist(),
+        "u_rho": u_values.tolist(),
+        "points": 0 if points is None else len(points.factor),
+        "factor_45_0": float(shape.factor(slanted, normal)),
+        "u_factor_45_0": float(shape.factor(slanted, normal) * shape.u_relative(slanted, normal)),
+    }
+    if options.json:
+        print_json(facts)
+        return 0
+    for rho, u_rho in zip(facts["rho"], facts["u_rho"], strict=True):
+        print(f"8 deg/hemispherical reflectance  {rho:.4f} ± {u_rho:.2g}")
+    shown = f"{facts['factor_45_0']:.4f} ± {facts['u_factor_45_0']:.2g}"
+    print(f"45/0 factor over it              {shown}, from {facts['points']} points")
+    print(facts["calibration"])
+    return 0
+
+
+def _wavelengths(text: str) -> tuple[float, ...]:
+    """Read wavelengths separated by commas.
+
+    Raises
+    ------
+    BadInput
+        A word that is no positive number.
+    """
+    try:
+        values = tuple(float(word) for word in text.split(",") if word.strip())
+    except ValueError:
+        values = (math.nan,)
+    if not all(math.isfinite(value) and value > 0.0 for value in values):
+        todo = "write it such as 600,540,460"
+        raise BadInput(f"cannot read {text!r}", where="--channel-nm", todo=todo)
+    return values
+
+
+def _sensor(options: argparse.Namespace) -> int:
     given = options.frames_from is not None
     rig = None if given and not options.rig.is_file() else load_rig_options(options)
     calibration = options.out or (rig.folder if rig is not None else Path()) / "calibration"

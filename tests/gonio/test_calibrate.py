@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from analysis.white_calibration import load_white
 from capture.sensor import load_sensor
 from rig.description import Camera, default_rig, dump_rig
 from simulator.twin import Twin
@@ -120,3 +121,40 @@ def test_what_spoils_it_is_named_and_nothing_replaced(
     assert "flat-03-00.dng" in damaged.stderr
     assert len(damaged.stderr.splitlines()) == 1
     assert not list(tmp_path.rglob("sensor.toml"))
+
+
+def test_white_from_the_files_of_its_laboratory(shared_data: Path, tmp_path: Path) -> None:
+    """A certificate that does not reach the file that a reduction reads, or points that change nothing."""
+    spectralon = shared_data / "spectralon"
+    points = spectralon / "20250210_S7_sample_final.txt"
+    arguments = ("--certificate", spectralon / "Spectralon_Num4.txt", "--out", tmp_path, "--json")
+
+    plain = gonio("calibrate", "white", *arguments)
+    full = gonio("calibrate", "white", *arguments, "--points", points, "--channel-nm", "600,540,460")
+
+    assert plain.returncode == full.returncode == 0, plain.stderr + full.stderr
+    before, after = json.loads(plain.stdout), json.loads(full.stdout)
+    assert len(before["rho"]) == 1
+    assert len(after["rho"]) == 3
+    assert after["points"] > 15
+    assert after["u_factor_45_0"] < 0.3 * before["u_factor_45_0"]
+    assert load_white(tmp_path / "white.toml").channel_nm == (600.0, 540.0, 460.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "nothing to calibrate"),
+        (("--certificate", "nowhere.txt"), "cannot read"),
+        (("--certificate", __file__), "no lines of three numbers"),
+        (("--certificate", __file__, "--channel-nm", "blue"), "no lines of three numbers"),
+    ],
+)
+def test_white_without_usable_files(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    """A traceback, or an empty calibration."""
+    done = gonio("calibrate", "white", *arguments, "--out", tmp_path)
+
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "white.toml").exists()
