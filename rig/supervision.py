@@ -192,8 +192,8 @@ class Supervisor:
     @cached_property
     def _bands(self) -> dict[str, tuple[Band, ...]]:
         """Bands of each joint: the rig file's, inside the servo's own limits, inside what its model takes."""
-        limits = self._rig.supervision
-        bands = {}
+        limits, margin = self._rig.supervision, self._rig.supervision.temperature_margin_deg_c
+        bands: dict[str, tuple[Band, ...]] = {}
         for joint in self._rig.joints:
             hottest, lowest, highest = (
                 self._bus.read(joint.id, f"{name}_limit")
@@ -202,9 +202,8 @@ class Supervisor:
             least, most = MODELS[joint.model].input_v
             low = max(limits.voltage_min_v or least, lowest * VOLT_COUNT)
             high = min(limits.voltage_max_v or most, highest * VOLT_COUNT)
-            hottest -= limits.temperature_margin_deg_c
             bands[joint.name] = (
-                Band(joint.name, "temperature", "deg C", -math.inf, hottest, CALM_DEG_C),
+                Band(joint.name, "temperature", "deg C", -math.inf, hottest - margin, CALM_DEG_C),
                 Band(joint.name, "voltage", "V", low, high, CALM_V),
                 Band(joint.name, "load", "", -math.inf, limits.load_max, CALM_LOAD),
             )
