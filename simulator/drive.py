@@ -52,6 +52,8 @@ class Drive:
     shaft : Shaft
     body : Body
     profile : Profile
+    saturated_since : float or None
+        Since when it has given all it has; None while it has not.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class Drive:
         self.body = Body(model.supply_v, model.stall_a, now=now, speed=speed)
         self._counted_turns = 0
         self._wanted = shaft_ticks
+        self.saturated_since: float | None = None
 
     # -- where it is
 
@@ -242,8 +245,11 @@ class Drive:
     def live(self, now: float) -> None:
         """Grow warm or cool: until the motion's end as it moves, and from there as it holds."""
         for end in (min(now, self.shaft.end), now):
-            if end > self.body.lived_until:
-                self.body.live(end, abs(self.effort(self.body.lived_until)))
+            begin = self.body.lived_until
+            if end > begin:
+                effort = abs(self.effort(begin))
+                self.saturated_since = (self.saturated_since or begin) if effort >= 1.0 else None
+                self.body.live(end, effort)
 
     def effort(self, now: float) -> float:
         """Share of the full effort, -1 to 1, positive where it pushes towards larger shaft ticks."""

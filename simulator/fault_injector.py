@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from simulator.pty_line import PtyLine
     from simulator.servo import Servo
 
-HOT_DEG_C = 85
-"""What an overheated servo reads of itself."""
-
 
 class FaultInjector:
     """The faults of one twin, waiting for their turn.
@@ -197,7 +194,11 @@ def _befall(servo: Servo, fault: Fault, now: float) -> None:
         case FaultKind.OVERLOAD:
             servo.fail(HardwareError.OVERLOAD, now)
         case FaultKind.OVERHEATING:
-            servo.heat(HOT_DEG_C, now)
+            servo.heat(fault.deg_c, now)
+        case FaultKind.LOAD:
+            servo.press(fault.factor, now, now + fault.for_s)
+        case FaultKind.LOW_VOLTAGE:
+            servo.weaken_supply(fault.factor, now, now + fault.for_s)
         case FaultKind.BROWN_OUT:
             servo.reboot(now)
         case FaultKind.LOST_TURN:

@@ -36,6 +36,8 @@ class FaultKind(StrEnum):
     SLOW = "slow"
     OVERLOAD = "overload"
     OVERHEATING = "overheating"
+    LOAD = "load"
+    LOW_VOLTAGE = "low-voltage"
     BROWN_OUT = "brown-out"
     LOST_TURN = "lost-turn"
     BUS_WATCHDOG = "bus-watchdog"
@@ -58,7 +60,7 @@ WIRE = frozenset({FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DUPLICATE, FaultK
 SERVO = frozenset(
     {
         FaultKind.STUCK, FaultKind.SLOW, FaultKind.OVERLOAD, FaultKind.OVERHEATING, FaultKind.BROWN_OUT,
-        FaultKind.LOST_TURN, FaultKind.BUS_WATCHDOG,
+        FaultKind.LOST_TURN, FaultKind.BUS_WATCHDOG, FaultKind.LOAD, FaultKind.LOW_VOLTAGE,
     }
 )  # fmt: skip
 CAMERA = frozenset(
@@ -78,6 +80,9 @@ _DEFAULTS: dict[FaultKind, dict[str, Any]] = {
     FaultKind.DELAY: {"line": "servos", "direction": "out", "count": 1, "for_s": 0.5},
     FaultKind.UNPLUG: {"line": "servos", "for_s": 1.0},
     FaultKind.STUCK: {"joint": None, "for_s": math.inf},
+    FaultKind.OVERHEATING: {"joint": None, "deg_c": 85.0},
+    FaultKind.LOAD: {"joint": None, "for_s": 10.0, "factor": 0.5},
+    FaultKind.LOW_VOLTAGE: {"joint": None, "for_s": 10.0, "factor": 0.75},
     FaultKind.SLOW: {"joint": None, "for_s": math.inf, "factor": 0.2},
     FaultKind.DOOR_OPEN: {"for_s": 1.0},
     FaultKind.LAMP_DRIFT: {"for_s": 10.0, "factor": 0.95},
@@ -112,7 +117,9 @@ class Fault:
     for_s : float
         How long it lasts; for a clock's step how far it goes.
     factor : float
-        Of the speed, of the light in the end, of the exposure.
+        Of the speed, of the light in the end, of the exposure, of the full effort, of the voltage.
+    deg_c : float
+        How warm the servo is.
     """
 
     kind: FaultKind
@@ -125,6 +132,7 @@ class Fault:
     count: int = 0
     for_s: float = 0.0
     factor: float = 1.0
+    deg_c: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +230,7 @@ def _require_known(values: dict[str, Any], where: str, joints: tuple[str, ...]) 
 
 def _ranges(kind: FaultKind) -> dict[str, tuple[float, float]]:
     longest = -math.inf if kind is FaultKind.CLOCK_STEP else 0.0
-    return {"for_s": (longest, math.inf), "factor": (0.0, 1000.0)}
+    return {"for_s": (longest, math.inf), "factor": (0.0, 1000.0), "deg_c": (0.0, 150.0)}
 
 
 def _number(value: object, low: float, high: float, where: str) -> float:

@@ -124,16 +124,16 @@ def machine_record(rig: Rig) -> dict[str, Any]:
 
 
 def frame_request(rig: Rig, settings: LightSettings, order: dict[str, Any]) -> FrameRequest:
-    """Complete the wire process's order (shaft ticks, exposure) with the truth about the pose."""
+    """Complete the wire process's order (ticks, backlash, exposure) with the truth about the pose."""
     from simulator.request import FrameRequest
     from simulator.truth import station_at, true_angles_rad
 
-    ticks = order.pop("ticks")
+    ticks, behind = order.pop("ticks"), order.pop("behind")
     return FrameRequest(
         seed=settings.seed,
         station=station_at(rig, ticks),
         ticks=ticks,
-        angles_rad=true_angles_rad(rig, settings.seed, ticks),
+        angles_rad=true_angles_rad(rig, settings.seed, ticks, behind),
         **order,
     )
 

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-3
 """Relative error of the light: a pixel's photon noise in a full exposure is five times as large."""
 
+_MOST_FLAWED = 45.0
+"""Degrees of play, or ticks of error: no servo is as bad."""
+
 
 @dataclass(frozen=True)
 class TwinSettings:
@@ -44,6 +47,10 @@ class TwinSettings:
         standard output.
     faults : str or None
         Script of faults, see `simulator.faults`; None for a machine that is well.
+    backlash_deg : float
+        Play of every servo between its encoder and the arm, degrees; see `simulator.shaft.Flaws`.
+    steady_error_ticks : float
+        How far from its goal friction leaves every servo; see `simulator.shaft.Flaws`.
     """
 
     materials: dict[str, str] = field(default_factory=dict)
@@ -57,6 +64,8 @@ class TwinSettings:
     tolerance: float = TOLERANCE
     commands: int | None = None
     faults: str | None = None
+    backlash_deg: float = 0.0
+    steady_error_ticks: float = 0.0
 
 
 def add_twin_options(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +96,20 @@ def add_twin_options(parser: argparse.ArgumentParser) -> None:
         metavar="T",
         help=f"relative error of the light that is allowed (default: {TOLERANCE:g})",
     )
+    parser.add_argument(
+        "--backlash-deg",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="play of every servo, which its encoder does not see (a real one: 0.25; default: 0)",
+    )
+    parser.add_argument(
+        "--steady-error-ticks",
+        type=float,
+        default=0.0,
+        metavar="N",
+        help="how far from their goals servos stay at their usual gain (a real one: 4; default: 0)",
+    )
     parser.add_argument("--faults", metavar="FILE", help="what fails and when (docs/faults.md)")
     parser.add_argument("--no-log", action="store_true", help="keep no log of the wires")
 
@@ -113,9 +136,14 @@ def settings_from(options: argparse.Namespace, *, commands: int | None = None) -
     Raises
     ------
     BadInput
-        A station without a material, an albedo or a tolerance that is none.
+        A station without a material; an albedo, a tolerance or a servo's flaw that is none.
     """
     check_light(options)
+    for option in ("backlash_deg", "steady_error_ticks"):
+        value = getattr(options, option)
+        if not 0.0 <= value < _MOST_FLAWED:
+            where = f"--{option.replace('_', '-')}"
+            raise BadInput(f"{value:g}", where=where, todo=f"give a number from 0, below {_MOST_FLAWED:g}")
     materials = {}
     for station in options.station:
         name, separator, material = station.partition("=")
@@ -134,4 +162,6 @@ def settings_from(options: argparse.Namespace, *, commands: int | None = None) -
         tolerance=options.tolerance,
         commands=commands,
         faults=options.faults,
+        backlash_deg=options.backlash_deg,
+        steady_error_ticks=options.steady_error_ticks,
     )

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from rig.control_table import BAUD_CODES
 from rig.errors import BadInput, Refused
 from rig.servo_models import MODELS
+from simulator.drive import TICKS_PER_TURN
 from simulator.fault_injector import FaultInjector
 from simulator.faults import FaultScript, load_faults
 from simulator.lamp import Exposure, Lamp
@@ -29,6 +30,7 @@ from simulator.light_process import LightSettings
 from simulator.pty_line import PtyLine
 from simulator.servo import Servo
 from simulator.servo_line import ServoLine
+from simulator.shaft import Flaws
 from simulator.wire_log import WireLog
 
 if TYPE_CHECKING:
@@ -207,6 +209,7 @@ class _Server:
         self._joints = tuple(joint["name"] for joint in machine["joints"])
         script = load_faults(self._settings.faults, self._joints) if self._settings.faults else FaultScript()
         now = time.monotonic()
+        flaws = Flaws(self._settings.backlash_deg / 360.0 * TICKS_PER_TURN, self._settings.steady_error_ticks)
         self._line = ServoLine(
             [
                 Servo(
@@ -216,6 +219,7 @@ class _Server:
                     speed=self._settings.speed,
                     now=now,
                     eeprom=eeprom,
+                    flaws=flaws,
                 )
                 for joint in machine["joints"]
             ]
@@ -305,6 +309,9 @@ class _Server:
         ticks = {
             name: servo.shaft_ticks(end) for name, servo in zip(self._joints, self._line.servos, strict=True)
         }
+        behind = {
+            name: servo.behind_ticks() for name, servo in zip(self._joints, self._line.servos, strict=True)
+        }
         moved = any(
             servo.moving(end) or servo.shaft_ticks(exposure.begin) != ticks[name]
             for name, servo in zip(self._joints, self._line.servos, strict=True)
@@ -317,12 +324,14 @@ class _Server:
                 "id": exposure.shot_id,
                 "moved": moved,
                 "ticks": ticks,
+                "behind": behind,
                 "output": exposure.output,
             },
         )
         self._light.order(
             {
                 "ticks": ticks,
+                "behind": behind,
                 "level": exposure.level,
                 "exposure_s": exposure.exposure_s,
                 "shutter_open_s": exposure.shutter_open_s,

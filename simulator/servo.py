@@ -77,7 +77,6 @@ class Servo:
             now=now,
         )
         self._power_up = self._heard = now
-        self._saturated_since: float | None = None
         self._shut_down = False
         self._registered: tuple[int, bytes] | None = None
         drive = self._drive
@@ -184,7 +183,7 @@ class Servo:
         """Power-up: RAM at its defaults, torque off, errors cleared, turns forgotten; heat stays."""
         self._drive.halt(now)
         self._registers.reset(Area.RAM)
-        self._registered, self._shut_down, self._saturated_since = None, False, None
+        self._registered, self._shut_down = None, False
         self._heard = now
         self._drive.power_up(now)
         self._check_hardware(now)
@@ -306,11 +305,8 @@ class Servo:
             errors |= HardwareError.INPUT_VOLTAGE
         if self.value("temperature_limit") < int(self._drive.body.temperature_deg_c):
             errors |= HardwareError.OVERHEATING
-        if effort < 1.0:
-            self._saturated_since = None
-        elif self._saturated_since is None:
-            self._saturated_since = now
-        elif now - self._saturated_since >= OVERLOAD_S:
+        since = self._drive.saturated_since
+        if since is not None and now - since >= OVERLOAD_S:
             errors |= HardwareError.OVERLOAD
         if errors & ~self.value("hardware_error_status"):
             self.fail(errors, now)

@@ -27,7 +27,9 @@ def residual_ticks(seed: int, servo_id: int, tick: int) -> float:
     return int.from_bytes(digest, "big") / 2.0**48 - 0.5
 
 
-def true_angles_rad(rig: Rig, seed: int, ticks: Mapping[str, int]) -> tuple[float, ...]:
+def true_angles_rad(
+    rig: Rig, seed: int, ticks: Mapping[str, int], behind: Mapping[str, float] | None = None
+) -> tuple[float, ...]:
     """Return the true angles of the arm joints, in the order of `rig.arm_joints`.
 
     Parameters
@@ -37,9 +39,17 @@ def true_angles_rad(rig: Rig, seed: int, ticks: Mapping[str, int]) -> tuple[floa
         The twin's seed.
     ticks : mapping of str to int
         Encoder tick of every joint, by name.
+    behind : mapping of str to float, optional
+        How far backlash lets each arm hang from its encoder, in ticks; not at all by default.
     """
+    hangs = behind or {}
     return tuple(
-        ticks_to_rad(joint, ticks[joint.name] + residual_ticks(seed, joint.id, ticks[joint.name]))
+        ticks_to_rad(
+            joint,
+            ticks[joint.name]
+            + residual_ticks(seed, joint.id, ticks[joint.name])
+            + hangs.get(joint.name, 0.0),
+        )
         for joint in rig.arm_joints
     )
 

@@ -44,6 +44,8 @@ class Twin:
         Mitsuba's variant; by default the fastest that works.
     faults : path, optional
         Script of faults, see `simulator.faults`.
+    backlash_deg, steady_error_ticks : float
+        Flaws of every servo, see `simulator.shaft.Flaws`.
     housing_albedo : float
         Of the walls around the machine; 0 is black.
     tolerance : float
@@ -86,6 +88,8 @@ class Twin:
         log: bool = True,
         variant: str | None = None,
         faults: str | PathLike[str] | None = None,
+        backlash_deg: float = 0.0,
+        steady_error_ticks: float = 0.0,
         housing_albedo: float = 0.0,
         tolerance: float = TOLERANCE,
     ) -> None:
@@ -97,6 +101,8 @@ class Twin:
         self._arguments += [f"--folder={folder}"] if folder else []
         self._arguments += [f"--variant={variant}"] if variant else []
         self._arguments += [f"--faults={faults}"] if faults else []
+        self._arguments += [f"--backlash-deg={backlash_deg!r}"]
+        self._arguments += [f"--steady-error-ticks={steady_error_ticks!r}"]
         self._arguments += [f"--housing-albedo={housing_albedo!r}", f"--tolerance={tolerance!r}"]
         self._arguments += [] if log else ["--no-log"]
         self._process: subprocess.Popen[str] | None = None

@@ -229,7 +229,7 @@ def send(servo: Servo, now: float) -> None:
 )
 def test_a_servo_fails(kind: FaultKind, check: Callable[[Servo], bool]) -> None:
     """Catches a servo fault that the wire does not show, or that befalls another joint."""
-    bench = Bench(Fault(kind, at_exposure=1, joint="b"))
+    bench = Bench(Fault(kind, at_exposure=1, joint="b", deg_c=85.0))
     for servo in bench.servos.values():
         send(servo, 0.0)
     assert not check(bench.servos["b"])

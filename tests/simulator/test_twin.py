@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -362,3 +363,28 @@ def test_truth_is_within_half_a_tick_of_what_the_servos_hold() -> None:
         assert station_at(rig, ticks | {"station_wheel": wheel}) == name
         assert station_at(rig, ticks | {"station_wheel": wheel + 4096}) == name
         assert station_at(rig, ticks | {"station_wheel": wheel + 100}) is None
+
+
+def test_backlash_is_in_the_picture_and_not_on_the_wire(twin: Callable[..., Twin]) -> None:
+    """Catches play that a client could read off, or that leaves the picture as it was."""
+    loose = twin(speed=100.0, backlash_deg=0.25)
+    servos, lamp = Servos(loose), LampLine(loose)
+    for goal in (2200, 2100):
+        servos.move({4: goal})
+        lamp.say("SHUT:EXP 0.01")
+        while lamp.ask("SHUT?").startswith("BUSY"):
+            time.sleep(0.01)
+        assert servos.positions([4]) == [goal]
+    hung = [event["behind"]["turntable"] for event in loose.wire_log() if event.get("event") == "exposed"]
+    assert hung == pytest.approx([-0.125 / 360 * 4096, 0.125 / 360 * 4096])
+
+
+def test_an_arm_hangs_behind_its_encoder() -> None:
+    """Catches a picture of where the encoder is, though the arm hangs elsewhere."""
+    from rig.description import default_rig
+
+    rig = default_rig()
+    ticks = {joint.name: 2048 for joint in rig.joints}
+    straight, hanging = (true_angles_rad(rig, 3, ticks, behind) for behind in (None, {"turntable": 2.0}))
+    off = [b - a for a, b in zip(straight, hanging, strict=True)]
+    assert off == pytest.approx([0.0, 0.0, 0.0, 2 * 2 * math.pi / 4096])
