@@ -92,9 +92,9 @@ class Light:
 
     Attributes
     ----------
-    walls, most : ndarray, shape (P, cells, C)
+    walls, most : ndarray, shape (P, cells, C or 1)
         Irradiance of the housing, where it was scattered last: mean and largest of each cell; one cell of
-        zeros otherwise.
+        zeros otherwise. One channel if it is grey.
     sample : ndarray, shape (P, C)
         Radiance of the sample times its cosine, where it was scattered last.
     flux : ndarray, shape (P, C), optional
@@ -187,7 +187,7 @@ class Surroundings:
             irradiance = self.cells.on_sample(self._wall_albedo * light.walls)
             poses = np.arange(len(light.most))[:, None, None]
             seen = self._wall_albedo / np.pi * light.most[poses, lobe.cells]
-            found = lobe.least * irradiance[:, None] + np.sum(lobe.weights * seen, axis=2)
+            found = lobe.least * irradiance[:, None] + np.einsum("plnc,plnc->plc", lobe.weights, seen)
         else:
             found = (np.pi * lobe.least + lobe.rest) * brightest[:, None]
         if light.flux is not None:
@@ -303,7 +303,8 @@ class Surroundings:
         if light.lamp_mm is not None:
             axis = unit(-light.lamp_mm) if scene.lamp_cosine else None
             lit = cells.lit_by(light.lamp_mm, scene.lamp_intensity, scene.lamp_radius_mm, axis)
-            mean, most = (np.repeat(values[..., None], CHANNELS, axis=-1) for values in lit)
+            # Its light is grey: one channel stands for all.
+            mean, most = (values[..., None] for values in lit)
             return Light(mean, most, np.zeros((len(mean), CHANNELS)))
         if light.mirrored:
             by_sample = light.kept * light.sample * self._solid_angle(self._to_mirror_mm)

@@ -76,16 +76,18 @@ def hemisphere(
     above = wi[..., 2] > 0.0
     f = np.zeros(wi.shape)
     f[above] = reflectance(wi[above], np.broadcast_to(given[:, None], wi.shape)[above])
-    least = np.where(above[..., None], f, np.inf).min(axis=1)
-    cosine = np.maximum(wi[..., 2:], 0.0)
-    kept = weights[..., None] * (f - least[:, None]) * cosine
+    # Channels first: sums over nodes are along what lies together.
+    by_node = np.ascontiguousarray(np.swapaxes(f, 1, 2))
+    cosine = np.maximum(wi[..., 2], 0.0)[:, None]
+    least = np.where(above[:, None], by_node, np.inf).min(axis=-1)
+    kept = weights[:, None] * cosine * (by_node - least[..., None])
     shape = wo.shape[:-1]
     return Hemisphere(
         least.reshape(*shape, -1),
-        kept.sum(axis=1).reshape(*shape, -1),
-        (f * cosine).max(axis=1).reshape(*shape, -1),
+        kept.sum(axis=-1).reshape(*shape, -1),
+        (by_node * cosine).max(axis=-1).reshape(*shape, -1),
         wi.reshape(*shape, *wi.shape[1:]),
-        kept.reshape(*shape, *kept.shape[1:]),
+        np.swapaxes(kept, 1, 2).reshape(*shape, *wi.shape[1:]),
     )
 
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from rig.angles import unit
 from rig.kinematics import Kinematics
-from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths
 from simulator.light.costs import value_s
+from simulator.light.direct_view import POINTS, lens_of, meet, view_of
 from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.gather_nodes import LEVELS, Level, in_rings, interpolation, rings
 from simulator.light.paths import LightPaths
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_SECONDS_PER_NODE, _LEVEL_S = 3e-7, 2e-3
-"""Time of a node besides that of its f_r, and of a level."""
+_SECONDS_PER_NODE, _LEVEL_S, _PIXEL_S = 3e-7, 2e-3, 1e-7
+"""Time of a node besides that of its f_r, of a level, and of a pixel at each level."""
 _REACHED = (3e-2, 5e-3, 1e-3, 3e-4)
 """Estimated errors after the second level, and after those above."""
 
@@ -57,18 +57,22 @@ class Radiosity(Evaluator):
     def __init__(self, scene: Scene, reflectance: Reflectance, paths: LightPaths) -> None:
         self._scene, self._reflectance = scene, reflectance
         self._glossy = Event.GLOSSY in scene.events
-        self._kinematics = Kinematics(scene.rig)
+        self._kinematics, self._lens = Kinematics(scene.rig), lens_of(scene.rig)
         self._light = WallLight(scene, reflectance, paths)
         self.walls = self._light.walls
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
         """Compute the radiance of a pose; see `Evaluator`."""
-        rig, angles = self._scene.rig, np.asarray(angles_rad, dtype=np.float64)
-        pixels = pixel_geometry(rig, angles)
-        radiance = np.zeros((*pixels.on_sample.shape, 3))
-        if not pixels.on_sample.any():
-            return Rendering(radiance, 0.0, "the camera does not see the sample")
-        positions, frames = pixels.position_mm[pixels.on_sample], self._kinematics.frames(angles)
+        camera, frames = self._scene.rig.camera, self._kinematics.frames(np.asarray(angles_rad))
+        points, w = meet(view_of(frames, POINTS), self._lens, np.zeros(2))
+        with np.errstate(invalid="ignore"):
+            edge = np.sum(points[:, :2] ** 2, axis=1) <= self._scene.sample_radius_mm**2
+        on_sample = np.flatnonzero(edge & (w > 0.0) & (frames.camera_mm[2] > 0.0))
+        radiance = np.zeros((camera.height_px * camera.width_px, 3))
+        shape = (camera.height_px, camera.width_px, 3)
+        if not on_sample.size:
+            return Rendering(radiance.reshape(shape), 0.0, "the camera does not see the sample")
+        positions = points[on_sample, :2]
         fine, error = self.picture(frames.light_mm, frames.camera_mm, positions, LEVELS[0])[0], np.inf
         for used in LEVELS[1:]:
             coarse = fine
@@ -77,12 +81,12 @@ class Radiosity(Evaluator):
             error = _rms(fine, coarse) + _rms(fine, other) / 3.0
             if error <= tolerance:
                 break
-        radiance[pixels.on_sample] = fine
+        radiance[on_sample] = fine
         did = (
             f"{len(self.walls)} patches, {used.wall}^2 nodes on each, {used.rings} x {used.turns} about "
             f"the mirror direction, at {used.points}^2 points"
         )
-        return Rendering(radiance, error, did)
+        return Rendering(radiance.reshape(shape), error, did)
 
     def picture(
         self, lamp_mm: Array, camera_mm: Array, positions: Array, level: Level
@@ -192,7 +196,8 @@ class RadiosityMethod(Method):
             for level in LEVELS[:needed]
         )
         asked = value_s(scene.material, vector=vector) if glossy else 0.0
-        return needed * _LEVEL_S + nodes * (_SECONDS_PER_NODE + asked)
+        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+        return needed * (_LEVEL_S + _PIXEL_S * pixels) + nodes * (_SECONDS_PER_NODE + asked)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Radiosity:
         """Set it to work; see `Method`."""

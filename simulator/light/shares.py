@@ -43,7 +43,7 @@ _LOWEST_COSINE = 1e-3
 """Of a lamp's direction: one below the horizon lights nothing, and is asked nothing."""
 _DIGITS = 3
 """To which bounds are stated, rounded up: below, they may depend on what else is asked at once."""
-_TOGETHER = 16
+_TOGETHER = 32
 """Poses that are looked at in one go, so that their cells stay near the processor."""
 _THETAS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 80.0, 85.0, 89.0])
 """Polar angles at which the sample is looked at for light from anywhere."""
@@ -62,7 +62,7 @@ class Shares:
     def __init__(self, scene: Scene, reflectance: Reflectance) -> None:
         self._scene, self._reflectance = scene, reflectance
         self.classes: tuple[PathClass, ...] = path_classes(scene)
-        self._unbounded = len(self.classes) < 2 or not scene.plain or scene.curved_mirrors
+        self._unbounded = len(self.classes) < 2 or not scene.plain or scene.curved_mirrors or scene.obstructed
         if not self._unbounded:
             self._looks = Looks(scene.rig, _NODES)
             self._surroundings = Surroundings(scene, *self._over_all_directions())
