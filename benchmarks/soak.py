@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import random
 import tempfile
 import time
@@ -23,6 +24,7 @@ from typing import Any
 import tomli_w
 
 from benchmarks.rows import row
+from capture.interruptions import holes
 from capture.journal import Journal
 from capture.plan import plan_from
 from capture.records import ShotState
@@ -33,6 +35,7 @@ from gonio.output import Progress, say
 from rig.bus import ServoBus
 from rig.description import default_rig, dump_rig, load_rig
 from rig.errors import GonioError
+from rig.ticks import rad_to_ticks
 from simulator.faults import SERVO, FaultKind
 from simulator.twin import Twin
 
@@ -40,9 +43,22 @@ POSES, EACH, RATE, SPEED = 1000, 3, 0.01, 200.0
 MOST_RUNS = 200
 LIMIT_S = 600.0
 FILE_TIMEOUT_S = 1.5
-LASTS_S = {FaultKind.STUCK: 2.0, FaultKind.SLOW: 2.0, FaultKind.LAMP_DEAD: 2.0, FaultKind.DOOR_OPEN: 0.5}
+LASTS_S = {
+    FaultKind.LOAD: 2.0,
+    FaultKind.LOW_VOLTAGE: 2.0,
+    FaultKind.STUCK: 2.0,
+    FaultKind.SLOW: 2.0,
+    FaultKind.LAMP_DEAD: 2.0,
+    FaultKind.DOOR_OPEN: 0.5,
+}
 OUTPUT_BAND = 0.1
 """Share by which the light of a frame that counts may be off: what the program is told to accept."""
+
+TOO_CLOSE = "the arms stand too close already"
+BY_HAND_S = 0.2
+
+REFERENCE_TOLERANCE = 2.0 * OUTPUT_BAND
+"""For reference poses after an interruption: both their shots may be off by the band."""
 
 
 @dataclass
@@ -56,7 +72,11 @@ class Night:
         What each run that did not finish said.
     happened : Counter
         Faults by kind.
-    faults : Counter
+    told : Counter
+        What the journal says happened, by kind of event.
+    holes : int
+        Poses that were skipped and never had.
+    wrong : Counter
         Frames by what is wrong with them: nothing should be.
     frames, poses, planned : int
         Frames that count, poses done, poses asked for.
@@ -65,6 +85,8 @@ class Night:
     seconds: float = 0.0
     stops: list[str] = field(default_factory=list)
     happened: Counter[str] = field(default_factory=Counter)
+    told: Counter[str] = field(default_factory=Counter)
+    holes: int = 0
     wrong: Counter[str] = field(default_factory=Counter)
     frames: int = 0
     poses: int = 0
@@ -156,16 +178,19 @@ def _run(twin: Twin, session: Path, poses: int) -> Night:
     for _ in range(MOST_RUNS):
         try:
             if session.exists():
-                result = resume(session, rig=twin.rig, wishes=wishes)
+                result = resume(session, rig=twin.rig, reference_tolerance=REFERENCE_TOLERANCE, wishes=wishes)
             else:
                 result = capture(plan, twin.rig, session, wishes=wishes)
         except GonioError as error:
             night.stops.append(str(error))
             say(f"stopped: {error}")
             _switch_off_and_on(twin)
+            if TOO_CLOSE in str(error):
+                _part_by_hand(twin)
             continue
         if result.complete:
             break
+        say(f"ended with {len(result.holes)} poses missing")
     return night
 
 
@@ -181,6 +206,19 @@ def _switch_off_and_on(twin: Twin) -> None:
             return
         except GonioError:
             time.sleep(0.2)
+
+
+def _part_by_hand(twin: Twin) -> None:
+    """Bring arms apart that a stuck one has let come too close: the program refuses every move from there."""
+    rig = load_rig(twin.rig)
+    try:
+        with ServoBus(rig.ports.servos, rig.bus.baud) as bus:
+            for joint in rig.arm_joints:
+                bus.write(joint.id, "torque_enable", 1)
+                bus.write(joint.id, "goal_position", rad_to_ticks(joint, math.radians(joint.park_deg)))
+                time.sleep(BY_HAND_S)
+    except GonioError as error:
+        say(f"by hand: {error}")
 
 
 def _judge(night: Night, session: Path, twin: Twin) -> None:
@@ -223,6 +261,11 @@ def _judge(night: Night, session: Path, twin: Twin) -> None:
     night.wrong["visits without a frame"] = sum(
         visit.done and all(shot.visit != visit.number for shot in shots) for visit in visits.values()
     )
+    night.told, night.holes = Counter(event.kind for event in journal.events()), len(holes(journal))
+    night.wrong["guard frames among them"] = sum("guard" in shot.shot_id for shot in shots)
+    night.wrong["poses without levels"] = len(
+        {visit.number for visit in done} - {levels.visit for levels in journal.levels()}
+    )
     night.frames, night.poses = len(shots), sum(visit.role.value == "sample" for visit in done)
     night.planned = sum(visit.role.value == "sample" for visit in visits.values())
 
@@ -232,11 +275,23 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
     del plots
     night = spend()
     least = min(night.happened.get(kind.value, 0) for kind in FaultKind)
-    say(json.dumps({"happened": night.happened, "stops": Counter(s.split(":")[0] for s in night.stops)}))
+    say(
+        json.dumps(
+            {
+                "happened": night.happened,
+                "told": night.told,
+                "stops": Counter(s.split(":")[0] for s in night.stops),
+            }
+        )
+    )
     return [
         row("poses done of those asked for", night.poses / max(night.planned, 1), "", 1.0, at_least=True),
         row("least often that a kind of fault happened", least, "", EACH, at_least=True),
+        row("poses skipped and never had", night.holes, "", 0),
         row("runs that stopped with a reason and were resumed", len(night.stops)),
+        row("shots made again", night.told["retry"]),
+        row("poses skipped and tried again", night.told["skipped"]),
+        row("reference poses shot again", night.told["reference"]),
         *(row(f"frames that count: {what}", count, "", 0) for what, count in sorted(night.wrong.items())),
         row("time", night.seconds, "s", LIMIT_S),
     ]
