@@ -143,7 +143,7 @@ class Surroundings:
     """
 
     def __init__(self, scene: Scene, albedo: Array, largest: Array) -> None:
-        self._scene, self._albedo, self._largest = scene, albedo, largest
+        self._scene, self.albedo, self._largest = scene, albedo, largest
         self._wall_albedo = scene.housing.albedo if scene.housing else 0.0
         # Without a housing no light asks the cells for anything; they still need a size.
         self._half_mm = scene.housing.half_size_mm if scene.housing else 10.0 * scene.sample_radius_mm
@@ -272,7 +272,7 @@ class Surroundings:
         )
         r = max(reflectances, default=0.0)
         again = r if len(reflectances) > 1 else 0.0
-        albedo, largest = self._albedo[channel] * a / np.pi, self._largest[channel]
+        albedo, largest = self.albedo[channel] * a / np.pi, self._largest[channel]
         to_walls = self.cells.from_sample.max() if scene.housing else 0.0
         shown_to_walls = self._solid_angle(self._to_mirror_mm) if scene.housing else 0.0
         on_itself = largest * self._solid_angle(2.0 * self._to_mirror_mm)
@@ -290,9 +290,9 @@ class Surroundings:
         if light.lamp_mm is not None:
             straight = light.lamp_mm is start.lamp_mm
             irradiance = light.kept * self._irradiance(light.lamp_mm)[:, None]
-            albedo, brightest = start.thrown if straight else (self._albedo, self._largest)
+            albedo, brightest = start.thrown if straight else (self.albedo, self._largest)
             return replace(dark, sample=brightest * irradiance, flux=albedo * irradiance * self._area)
-        lit_by_walls = self._albedo * self.radiance_on_sample(light)
+        lit_by_walls = self.albedo * self.radiance_on_sample(light)
         return replace(dark, sample=lit_by_walls + self._largest * self.sample_on_itself(light))
 
     def _on_walls(self, light: Light) -> Light:

@@ -125,12 +125,13 @@ class Shares:
         scene = self._scene
         if scene.housing is not None or len(scene.mirrors) != 1 or Event.MIRROR in scene.events:
             return None
+        # Light that comes from anywhere leaves with the albedo at most; a narrow cone may hold less.
+        left = scene.mirrors[0].reflectance * self._surroundings.albedo
         cone = image_cone(scene, scene.mirrors[0])
-        if cone is None:
-            return None
-        within = brightest_within(self._reflectance, cone)
-        left = _LOBE_MARGIN * scene.mirrors[0].reflectance * cone.solid_angle * within
-        return left if np.all(left < 1.0) else None
+        if cone is not None:
+            within = cone.solid_angle * brightest_within(self._reflectance, cone)
+            left = np.minimum(left, _LOBE_MARGIN * scene.mirrors[0].reflectance * within)
+        return np.asarray(left) if np.all(left < 1.0) else None
 
     def _radiance(self, at: _Poses, path_class: PathClass, known: dict[Walk, Light]) -> Array | None:
         """Mean radiance (P, C) of a class, at most; None where no bound is known."""
