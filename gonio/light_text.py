@@ -82,8 +82,22 @@ def _print_explained(pose: dict[str, Any], tolerance: float) -> None:
             if row["leaves_out"]:
                 method += f", leaves out {row['leaves_out']:.1e}"
         print(f"    {row['paths']:<20} {row['bound']:>10.2e}  {method}")
+    _print_solids(pose["solids"])
     verdict = "within" if pose["reached"] else "NOT within"
     print(f"    skipped: at most {pose['skipped_bound']:.1e} of the light; {verdict} {tolerance:g} in all")
+
+
+def _print_solids(solids: dict[str, Any]) -> None:
+    if solids["bound"] == 0.0 and not solids["shadow"]:
+        return
+    what = "skipped"
+    if solids["method"]:
+        what = solids["method"]
+        if solids["seconds"] is not None:
+            what += f", about {1e3 * solids['seconds']:.0f} ms"
+    if solids["shadow"]:
+        what += f"; shadow of {solids['shadow']}"
+    print(f"    {'solids':<20} {solids['bound']:>10.2e}  {what}")
 
 
 def _print_stray(answer: dict[str, Any], pose: dict[str, Any]) -> None:
@@ -93,3 +107,5 @@ def _print_stray(answer: dict[str, Any], pose: dict[str, Any]) -> None:
         print(f"    {name:<20} {share:>10.3e}  {error:>8.1e}" if known else f"    {name:<20} {'unknown':>10}")
     if pose["stray"] is not None:
         print(f"    stray light: {100.0 * pose['stray']:.3f} % of all")
+    if pose["solids"]:
+        print(f"    the machine's solids, besides: at most {100.0 * pose['solids']:.3f} %")

@@ -7,6 +7,7 @@ from the camera, and by whatever method is quickest for each of the others.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,10 @@ from simulator.light.classes import light_paths
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
 from simulator.light.path_classes import PathClasses, PathClassesMethod
+from simulator.light.planner import Planner
+from simulator.light.reflectance import material_reflectance
 from simulator.light.scene import Scene, default_housing
+from simulator.light.solids import SolidsLight
 from simulator.materials import parse_material
 from simulator.variant import load_mitsuba
 
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
     from rig.description import Rig
     from simulator.light.evaluator import Evaluator, Method
     from simulator.light.path_tracer import Estimate
+    from simulator.light.planner import Plan
 
 Pose = tuple[float, ...]
 
@@ -116,21 +121,25 @@ def explain(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> d
     -------
     dict
         ``{"paths", "poses": [{"angles_deg", "classes": [{"paths", "bound", "method", "seconds",
-        "leaves_out"}], "skipped_bound", "reached"}]}``; method is None for what is skipped, and seconds are
-        those of all that the method computes at the pose.
+        "leaves_out"}], "skipped_bound", "solids": {"bound", "shadow", "method", "seconds"}, "reached"}]}``;
+        method is None for what is skipped, and seconds are those of all that the method computes at the pose.
+        `solids` are the machine's: what they add at most, which one casts a shadow, and how their light is
+        computed, on top of the classes or with them.
 
     Raises
     ------
     Refused
         No method covers the scene's light.
     """
-    chooser = Chooser(mi, scene, tolerance, METHODS)
+    planner = Planner(mi, scene, tolerance, METHODS)
     told = []
     for pose in poses:
-        decision = chooser.decide(pose)
-        rows = []
+        plan = planner.plan(pose)
+        decision, rows = plan.decision, []
         for path_class, bound in zip(decision.classes, decision.bounds, strict=True):
             part = decision.by(path_class)
+            if part is None and path_class not in decision.skipped:
+                part = plan.added
             rows.append(
                 {
                     "paths": path_class.name,
@@ -140,15 +149,27 @@ def explain(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> d
                     "leaves_out": part.leaves_out if part else None,
                 }
             )
+        added = plan.added
         told.append(
             {
                 "angles_deg": np.degrees(pose).tolist(),
                 "classes": rows,
                 "skipped_bound": decision.skipped_bound,
-                "reached": decision.reached,
+                "solids": {
+                    "bound": plan.solids.share,
+                    "shadow": plan.solids.shadow or None,
+                    "method": added.method.name if added else _followed(plan),
+                    "seconds": added.seconds if added else None,
+                },
+                "reached": plan.reached,
             }
         )
     return {"paths": str(light_paths(scene)), "poses": told}
+
+
+def _followed(plan: Plan) -> str | None:
+    """Return the method that follows light among the solids, if all light is."""
+    return plan.decision.parts[0].method.name if plan.scene.obstructed and plan.decision.parts else None
 
 
 def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> dict[str, Any]:
@@ -164,13 +185,18 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
     Returns
     -------
     dict
-        ``{"paths", "classes", "poses": [{"angles_deg", "shares", "errors", "stray"}]}``: a share is the mean
-        radiance of a class over the pixels of the sample, over that of all classes; None for a class that no
-        method computes by itself, and for a sample that is not seen. `errors` are absolute errors of the
+        ``{"paths", "classes", "poses": [{"angles_deg", "shares", "errors", "stray", "solids"}]}``: a share is
+        the mean radiance of a class over the sample's pixels, over that of all classes; None for a class that
+        no method computes by itself, and for a sample that is not seen. `errors` are absolute errors of the
         shares, `stray` is the share of all that met more
-        than one surface.
+        than one surface. The machine's solids are part of the scene, but for mirrors beside the sample and
+        in a scalar variant, which cannot tell classes apart among them: then `solids` bounds what they add.
     """
-    chooser = Chooser(mi, scene, tolerance, METHODS)
+    solids = SolidsLight(scene, material_reflectance(mi, scene.material))
+    if not scene.mirrors and not mi.variant().startswith("scalar"):
+        scene = replace(scene, obstructed=bool(scene.rig.solids))
+    methods = [method for method in METHODS if method.among_solids or not scene.obstructed]
+    chooser = Chooser(mi, scene, tolerance, methods)
     classes = chooser.classes
     means = [*_traced(mi, scene, chooser, tolerance), *_alone(mi, scene, chooser, tolerance)]
     stray = np.array([bool(path_class.paths.with_events(2)) for path_class in classes])
@@ -188,6 +214,7 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
                 "shares": shares.tolist(),
                 "errors": (found[:, 1] / total if total > 0.0 else shares).tolist(),
                 "stray": float(np.nansum(shares[stray])) if total > 0.0 else None,
+                "solids": None if scene.obstructed else solids.at(pose).share,
             }
         )
     names = [path_class.name for path_class in classes]

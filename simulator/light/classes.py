@@ -30,6 +30,7 @@ Walk = tuple[tuple[Node, Event], ...]
 
 SAMPLE: Node = "sample"
 HOUSING: Node = "housing"
+SOLIDS: Node = "solids"
 _LAMP: Node = "lamp"
 _CAMERA: Node = "camera"
 
@@ -126,6 +127,8 @@ def surface_events(scene: Scene) -> dict[Node, tuple[Event, ...]]:
         letters[SAMPLE] = tuple(sorted(scene.events))
     if scene.housing is not None:
         letters[HOUSING] = (Event.LAMBERTIAN,)
+    if scene.obstructed and any(solid.albedo > 0.0 for solid in scene.rig.solids):
+        letters[SOLIDS] = (Event.LAMBERTIAN,)
     return letters | dict.fromkeys(range(len(scene.mirrors)), (Event.MIRROR,))
 
 
@@ -138,7 +141,7 @@ def followers(scene: Scene) -> dict[Node, tuple[Node, ...]]:
 
 
 def _can_follow(scene: Scene, node: Node, other: Node) -> bool:
-    if HOUSING in (node, other):
+    if {HOUSING, SOLIDS} & {node, other}:
         return True
     if node == other:
         mirror = scene.mirrors[node] if isinstance(node, int) else None

@@ -99,11 +99,14 @@ class Method(ABC):
     any_sample : bool
         Whether it serves samples that are not flat, level and alike everywhere; by default it does not, and
         is not asked about them.
+    among_solids : bool
+        Whether it serves scenes in which a machine's solids stand; by default it does not.
     """
 
     name: str
     covers: LightPaths
     any_sample: bool = False
+    among_solids: bool = False
 
     @abstractmethod
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from analysis.models import MODELS
 from analysis.models.base import Kind
+from rig.angles import unit
 from rig.kinematics import Kinematics
 from rig.pixels import pixel_geometry
+from rig.placement import placed_solids
 from simulator.bsdfs import MOUNTINGS, PLACED
-from simulator.light.mitsuba_meshes import spherical_mirror, tube
+from simulator.light.mitsuba_meshes import mesh, solid_mesh, spherical_mirror, tube
 from simulator.light.scene import Event, SphericalMirror
 from simulator.materials import ClosedFormMaterial, MitsubaMaterial, load_bsdf
 from simulator.mounting import Form
@@ -25,9 +27,14 @@ from simulator.mounting import Form
 if TYPE_CHECKING:
     from rig.description import Rig
     from simulator.light.scene import PlanarMirror, Scene
+    from simulator.light.solids import SolidSurfaces
     from simulator.materials import Material
 
 Array = NDArray[np.float64]
+
+
+CLIPPED = 1e-4
+"""Of the camera's distance, before which nothing is seen: Mitsuba's own would suit metres."""
 
 
 def sample_events(mi: Any, material: Material) -> frozenset[Event]:
@@ -156,6 +163,36 @@ def _ideal_mirror(reflectance: float) -> dict[str, Any]:
     return {"type": "conductor", "material": "none", "specular_reflectance": value}
 
 
+def solids(mi: Any, surfaces: SolidSurfaces) -> dict[str, Any]:
+    """Return a machine's solids where they are at zero, by the names `solid0`, `solid1`..."""
+    found = {}
+    for number, corners in enumerate(surfaces.upright):
+        value = {"type": "rgb", "value": float(surfaces.albedos[number])}
+        bsdf = mi.load_dict({"type": "diffuse", "reflectance": value})
+        found[f"solid{number}"] = mesh(mi, f"solid{number}", bsdf, corners, surfaces.faces(number))
+    return found
+
+
+def near_clip_mm(rig: Rig) -> float:
+    """Return how far before the pupil the camera's own solids end that stand around its view."""
+    upright = placed_solids(rig, np.zeros(len(rig.arm_joints)))
+    kinematics = Kinematics(rig)
+    camera = kinematics.frames(np.zeros(len(rig.arm_joints))).camera_mm
+    towards = -unit(camera)
+    reach = [CLIPPED * rig.camera.distance_mm]
+    widest = rig.sample.diameter_mm / 2.0 + rig.camera.aperture_diameter_mm / 2.0
+    for solid, description in zip(upright, rig.solids, strict=True):
+        if description.link not in rig.arms.camera:
+            continue
+        corners, _ = solid_mesh(solid.shape, 16, 8)
+        way = corners @ solid.pose[:3, :3].T + solid.pose[:3, 3] - camera
+        ahead = way @ towards
+        beside = np.linalg.norm(way - ahead[:, None] * towards, axis=1)
+        if np.any(ahead > 0.0) and np.any(beside[ahead > 0.0] < widest):
+            reach.append(1.001 * float(ahead.max()))
+    return max(reach)
+
+
 def mirror(mi: Any, number: int, scene: Scene) -> Any:
     """Return one of a scene's mirrors, or its description."""
     shape = scene.mirrors[number]
@@ -235,7 +272,7 @@ def perspective_camera(mi: Any, rig: Rig, samples_per_pixel: int) -> dict[str, A
         "principal_point_offset_x": 0.5 - (camera.principal_point_px[0] + 0.5) / width,
         "principal_point_offset_y": 0.5 - (camera.principal_point_px[1] + 0.5) / height,
         # Mitsuba's own far clip would render a large rig black without a word.
-        "near_clip": 1e-4 * camera.distance_mm,
+        "near_clip": CLIPPED * camera.distance_mm,
         "far_clip": 10.0 * overview_mm,
         "to_world": camera_placed(mi, np.array([0.0, 0.0, camera.distance_mm]), np.diag([1.0, -1.0, -1.0])),
         "sampler": {"type": "independent", "sample_count": samples_per_pixel},

@@ -22,6 +22,7 @@ from simulator.light.finite_size import pose_error
 from simulator.light.paths import LightPaths
 from simulator.light.sample_shapes import SampleSurface
 from simulator.light.scene import Event
+from simulator.light.solids import SolidSurfaces
 from simulator.materials import NOT_RENDERED
 from simulator.sensor import derived_seed
 
@@ -44,6 +45,8 @@ _STRAY_SHARE = 0.1
 """Of a housing, over a/(1 - a): what its noise is to that of all light."""
 _EVENT_S, _SCALAR_EVENT_S, _RENDER_S = 1.3e-7, 4.5e-7, 3e-3
 """Time of one event of one path, vectorised or not, and of starting a render."""
+_SOLID_FACETS = 64, 2
+"""Facets round the machine's solids, and along them."""
 _OPEN_EVENTS = 2.0
 """Events of a path that has no housing to meet: it leaves."""
 
@@ -94,6 +97,10 @@ class PathLight(Evaluator):
             )
         for number in range(len(scene.mirrors)):
             description[f"mirror{number}"] = mitsuba_scene.mirror(mi, number, scene)
+        self._solids = SolidSurfaces(rig, *_SOLID_FACETS) if scene.obstructed else None
+        if self._solids is not None:
+            description |= mitsuba_scene.solids(mi, self._solids)
+            description["camera"]["near_clip"] = mitsuba_scene.near_clip_mm(rig)
         self._scene = mi.load_dict(description, optimize=False)
         self._parameters = mi.traverse(self._scene)
         self._longest = _integrator(mi, last)
@@ -141,6 +148,10 @@ class PathLight(Evaluator):
             self._parameters["lamp.to_world"] = mi.Transform4f(lamp)
         else:
             self._parameters["lamp.position"] = mi.Point3f(*frames.light_mm.tolist())
+        if self._solids is not None:
+            for number, corners in enumerate(self._solids.corners(angles_rad)):
+                key = f"solid{number}.vertex_positions"
+                self._parameters[key] = type(self._parameters[key])(corners.ravel().tolist())
         self._parameters.update()
 
     def _render(self, seed: int) -> Array:
@@ -192,6 +203,7 @@ class PathTracing(Method):
     name = "path tracing"
     covers = LightPaths("L(D|S)+E")
     any_sample = True
+    among_solids = True
 
     def obstacle(self, scene: Scene, paths: LightPaths, *, vector: bool) -> str | None:  # noqa: ARG002
         """Say why it cannot; see `Method.obstacle`."""

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from simulator import bsdfs
 from simulator.bands import seen_through
-from simulator.light.choice import Chooser
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
+from simulator.light.planner import Planner
 from simulator.light.scene import Scene, default_housing
 from simulator.materials import station_materials
 from simulator.options import TOLERANCE
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rig.description import Rig
-    from simulator.light.choice import Decision, Part
+    from simulator.light.choice import Part
     from simulator.light.evaluator import Evaluator
+    from simulator.light.planner import Plan
     from simulator.materials import Material
 
 Array = NDArray[np.float64]
@@ -82,14 +83,14 @@ class Renderer:
         seen = {
             name: seen_through(rig, material, 0.1 * tolerance) for name, material in self.materials.items()
         }
-        self._scenes = {
+        scenes = {
             name: Scene(rig, material, sample_events(self._mi, material), housing)
             for name, material in seen.items()
         }
-        self._choosers = {
-            name: Chooser(self._mi, scene, tolerance, METHODS) for name, scene in self._scenes.items()
+        self._planners = {
+            name: Planner(self._mi, scene, tolerance, METHODS) for name, scene in scenes.items()
         }
-        self._evaluators: dict[tuple[str, str, tuple[str, ...]], Evaluator] = {}
+        self._evaluators: dict[tuple[Scene, str, tuple[str, ...]], Evaluator] = {}
         self._last: tuple[tuple[str, tuple[float, ...]], Array] | None = None
 
     @property
@@ -123,7 +124,7 @@ class Renderer:
             self._last = (pose, self._lit(*pose))
         return level * self._last[1]
 
-    def decide(self, station: str, angles_rad: Sequence[float]) -> Decision:
+    def plan(self, station: str, angles_rad: Sequence[float]) -> Plan:
         """Decide how a pose is rendered.
 
         Parameters
@@ -138,26 +139,26 @@ class Renderer:
         Refused
             No method covers its light.
         """
-        return self._choosers[station].decide(angles_rad)
+        return self._planners[station].plan(angles_rad)
 
     def prewarm(self) -> None:
         """Build every station's method and its kernels, so that the first frame is as fast as the rest."""
         # All are built before one renders: kernels depend on which scenes exist when they are compiled.
         upright = [0.0] * len(self._rig.arm_joints)
         for station in self.materials:
-            for part in self.decide(station, upright).parts:
-                self._evaluator(station, part)
+            for scene, part in self.plan(station, upright).parts:
+                self._evaluator(scene, part)
         for station in self.materials:
             self.radiance(station, upright)
 
     def _lit(self, station: str, angles_rad: tuple[float, ...]) -> Array:
         radiance = np.zeros((self._rig.camera.height_px, self._rig.camera.width_px, 3))
-        for part in self.decide(station, angles_rad).parts:
-            radiance += self._evaluator(station, part).render(angles_rad, part.tolerance).radiance
+        for scene, part in self.plan(station, angles_rad).parts:
+            radiance += self._evaluator(scene, part).render(angles_rad, part.tolerance).radiance
         return radiance
 
-    def _evaluator(self, station: str, part: Part) -> Evaluator:
-        key = station, part.method.name, tuple(path_class.name for path_class in part.classes)
+    def _evaluator(self, scene: Scene, part: Part) -> Evaluator:
+        key = scene, part.method.name, tuple(path_class.name for path_class in part.classes)
         if key not in self._evaluators:
-            self._evaluators[key] = part.method.build(self._mi, self._scenes[station], part.paths)
+            self._evaluators[key] = part.method.build(self._mi, scene, part.paths)
         return self._evaluators[key]

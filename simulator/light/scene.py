@@ -244,6 +244,8 @@ class Scene:
     lamp_cosine : bool
         Whether the lamp shines as a flat disc does, with the cosine of the angle from its axis, and not
         backwards; otherwise it shines evenly in all directions.
+    obstructed : bool
+        Whether the machine's solids stand in it, which block light and reflect it.
     """
 
     rig: Rig
@@ -252,6 +254,7 @@ class Scene:
     housing: Housing | None = None
     mirrors: tuple[Mirror, ...] = ()
     lamp_cosine: bool = True
+    obstructed: bool = False
 
     @property
     def plain(self) -> bool:
