@@ -201,15 +201,22 @@ def test_a_death_around_each_commit_of_a_resume(
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_a_death_at_every_single_step(
+def test_a_death_at_every_single_step(mortal: Mortal, capture_steps: tuple[Path, list[str]]) -> None:
+    """Would catch a step that is safe at one frame and not at another: the first, the last, a pass's end."""
+    wanted = facts_of(capture_steps[0])
+    for number in range(len(capture_steps[1])):
+        die_and_go_on(mortal, mortal.place(), number, wanted)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_death_at_every_single_step_of_a_resume(
     mortal: Mortal,
     capture_steps: tuple[Path, list[str]],
     damaged: Callable[[], Path],
     resume_steps: list[str],
 ) -> None:
-    """Would catch a step that is safe at one frame and not at another: the first, the last, a pass's end."""
+    """Would catch mending that is safe at one frame and not at another."""
     wanted = facts_of(capture_steps[0])
-    for number in range(len(capture_steps[1])):
-        die_and_go_on(mortal, mortal.place(), number, wanted)
     for number in range(len(resume_steps)):
         die_and_go_on(mortal, damaged(), number, wanted)
