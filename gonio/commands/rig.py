@@ -2,7 +2,7 @@
 
 check  who answers on which port, expected against found; nothing moves, the light goes off
 move   joints to angles in degrees (JOINT=DEGREES ...), the others stay; --station turns the wheel
-park   light off, every arm to its park_deg
+park   light off, every arm to its park_deg; --others leaves alone those that report an error
 stop   light off and arms stopped, whoever runs the machine
 """
 
@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from rig.arms import HeldPose
     from rig.description import Rig
     from rig.machine import Machine
+    from rig.stop_report import StopReport
 
 EXAMPLE = "gonio rig move light_elevation=-30 camera_elevation=45 --station white --rig rig.toml"
 
 EXIT_BY_STOP = {"confirmed": 0, "refused": 3, "unknown": 4}
-"""Exit code of `gonio rig stop` by outcome."""
+"""Exit code of `gonio rig stop` and `park --others` by outcome."""
 
 
 def add_rig_options(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +67,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         if name == "move":
             action.add_argument("angles", nargs="*", metavar="JOINT=DEGREES", help="where joints go")
             action.add_argument("--station", metavar="NAME", help="what the wheel brings to the centre")
+        if name == "park":
+            action.add_argument(
+                "--others", action="store_true", help="leave alone servos that report an error or are silent"
+            )
         add_rig_options(action)
         add_json_option(action)
 
@@ -126,7 +131,18 @@ def _move(rig: Rig, options: argparse.Namespace) -> int:
 
 
 def _park(rig: Rig, options: argparse.Namespace) -> int:
+    if options.others:
+        return _park_others(rig, options)
     return _run_machine(rig, options, lambda machine: machine.park())
+
+
+def _park_others(rig: Rig, options: argparse.Namespace) -> int:
+    from gonio.signals import StopRequests
+    from rig.rescue import park_others
+
+    with StopRequests("move", patient=False) as requests:
+        report = park_others(rig, requests.on_abort)
+    return requests.exit_code or _tell(rig, report, "park", "parked", json=options.json)
 
 
 def _run_machine(rig: Rig, options: argparse.Namespace, action: Callable[[Machine], HeldPose]) -> int:
@@ -163,20 +179,23 @@ def _print_pose(rig: Rig, pose: HeldPose, *, json: bool) -> None:
 
 def _stop(rig: Rig, options: argparse.Namespace) -> int:
     from rig.owner import request_stop
+
+    return _tell(rig, request_stop(rig), "stop", "stopped", json=options.json)
+
+
+def _tell(rig: Rig, report: StopReport, what: str, done: str, *, json: bool) -> int:
+    """Print a report part by part; the exit code of its outcome."""
     from rig.stop_report import StopOutcome
 
-    report = request_stop(rig)
-    if options.json:
+    if json:
         print_json(report.as_dict())
     else:
-        print(f"stop {report.outcome.value}")
+        print(f"{what} {report.outcome.value}")
         for line in report.details:
             print(f"  {line}")
     unsure = ", ".join(part.part for part in report.parts if part.outcome is not StopOutcome.CONFIRMED)
     if unsure:
-        say(
-            f"gonio rig: {rig.name}: {unsure} not proved stopped; look, and cut the power by hand if in doubt"
-        )
+        say(f"gonio rig: {rig.name}: {unsure} not proved {done}; look, and cut the power by hand if in doubt")
     return EXIT_BY_STOP[report.outcome.value]
 
 

@@ -152,3 +152,11 @@ def test_sigterm_aborts_at_once_also_before_there_is_a_machine() -> None:
         assert requests.abort_requested
         assert requests.exit_code == 143
     assert stopped == ["machine"]
+
+
+def test_parking_the_others(twin: Twin) -> None:
+    """Catches a rescue that cannot be asked for, or does not say of each part what became of it."""
+    done = gonio("park", "--others", "--rig", twin.rig, "--json")
+    assert done.returncode == 0, done.stderr
+    parts = json.loads(done.stdout)["parts"]
+    assert [part["outcome"] for part in parts] == ["confirmed"] * 6
