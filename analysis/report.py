@@ -165,5 +165,5 @@ def _section(number: int, measurement: Measurement) -> str:
     if measurement.fits:
         evaluation = evaluate_fit(measurement.samples, measurement.fits[0].model)
         parts.append(sections.quality(measurement, evaluation))
-    parts += [sections.pixels(measurement), "</section>"]
+    parts += [sections.uncertainty(measurement), sections.pixels(measurement), "</section>"]
     return "\n".join(part for part in parts if part)

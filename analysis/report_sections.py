@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis import figures
+from analysis.budget import budget
 from analysis.style import data_uri
 from analysis.table import Row, parameter_rows, rounded
 
@@ -255,3 +256,30 @@ def _counts(samples: xr.Dataset) -> str:
         ]
         tables.append(table([label, "Count"], rows) if rows else "")
     return f'<div class="side">{"".join(tables)}</div>' if any(tables) else ""
+
+
+def uncertainty(measurement: Measurement) -> str:
+    """Show what the uncertainty of a sample and of the mean of all consists of; nothing for none stated."""
+    model = measurement.fits[0].model if measurement.fits else None
+    lines = budget(measurement.samples, model)
+    if not lines:
+        return ""
+    rows = [
+        [
+            escape(line.name),
+            escape(line.correlation.value),
+            number(100.0 * line.of_sample, ".2g"),
+            number(100.0 * line.share_of_sample, ".0f"),
+            number(100.0 * line.of_session, ".2g"),
+            number(100.0 * line.share_of_session, ".0f"),
+        ]
+        for line in lines
+    ]
+    head = ["Error", "shared", "u of a sample / %", "its share / %", "u of the mean / %", "its share / %"]
+    single = max(lines, key=lambda line: line.share_of_sample)
+    caption = (
+        f"A single sample is limited by the {escape(single.name)} (medians over all samples), the mean of "
+        f"all by the {escape(lines[0].name)}. Shares are of the variance. What is shared "
+        "does not average out."
+    )
+    return "<h3>What dominates</h3>" + table(head, rows, caption=caption)

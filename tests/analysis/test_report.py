@@ -167,6 +167,16 @@ def test_page_says_what_a_scientist_asks(page: str) -> None:
         assert wanted in text
 
 
+def test_page_says_what_dominates_the_uncertainty(page: str) -> None:
+    """A budget without the joints, or one that names noise for what does not average out."""
+    section = page.partition("What dominates")[2].partition("</table>")[0]
+
+    for name in ("noise of the sample", "noise of the white", "reflectance of the white", "angle of joint 0"):
+        assert name in section
+    assert "A single sample is limited by the noise of the sample" in section
+    assert "the mean of all by the reflectance of the white" in section
+
+
 def test_the_same_inputs_give_the_same_page(measurement: Measurement, page: str) -> None:
     """Catches dates, random ids and hash order in the page."""
     assert build_page("A report", [measurement], lead="Lead", facts={"Rig hash": "ab" * 32}) == page
