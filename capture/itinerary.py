@@ -5,14 +5,15 @@ Pure: nothing moves, nothing is written. `gonio plan` prints it, a capture carri
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture.poses import Feasible, feasible
+from capture.feasible import Feasible, Obstacles, feasible
 from capture.records import PlannedPose, Role, Visit
-from capture.route import Profile, order_by_travel, path_s, travel_s
+from capture.route import Profile, order_by_travel, path_s
+from capture.travel import Travel, travel_past
 from rig.angles import direction_to_spherical, half_difference
 from rig.errors import BadInput, Refused
 from rig.kinematics import Kinematics
@@ -53,6 +54,8 @@ class Itinerary:
         Joint angles of the poses taken, as they will be visited.
     order : ndarray of int, shape (M,)
         Rows of `angles_rad` in the order of shortest travel from the parked arms.
+    travel : Travel
+        What the moves in that order and back cost, with their ways round solids.
     """
 
     plan: Plan
@@ -61,6 +64,7 @@ class Itinerary:
     repeats: int
     angles_rad: FloatArray
     order: np.ndarray[Any, np.dtype[np.int64]]
+    travel: Travel
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -91,23 +95,20 @@ class Itinerary:
     def forecast(self) -> Forecast:
         """How long it takes, and how much disk."""
         rig, plan = self.rig, self.plan
-        way = self.angles_rad[self.order]
-        profile = Profile.of(rig)
         passes = len(self.roles)
-        moves = passes * len(way)
-        travel = 0.0
-        if len(way):
-            to_first = float(travel_s(Kinematics(rig).park_rad, way[0], profile))
-            travel = to_first + passes * path_s(way, profile)
+        moves = passes * len(self.order)
+        travel = self.travel.seconds(passes)
         frames = round(moves * FRAMES_PER_POSE) + 2 * plan.darks.count
         pixels = rig.camera.width_px * rig.camera.height_px
         duration_s = (
             travel + moves * SETTLE_S + frames * (plan.exposure.first_s + FILE_S) + rig.lamp.warm_up_s
         )
         return Forecast(
-            poses=len(way),
+            poses=len(self.order),
             refused=len(self.feasible.refusals),
             refused_by=self.feasible.counts,
+            marked_by=self.feasible.marked,
+            detours=self.travel.detours(passes),
             repeats=self.repeats,
             frames=frames,
             travel_s=travel,
@@ -142,8 +143,10 @@ class Forecast:
     Attributes
     ----------
     poses, refused, repeats, frames : int
-    refused_by : dict
-        How many are refused, by reason.
+    refused_by, marked_by : dict
+        How many are refused, and how many measured though they are spoiled, by reason.
+    detours : int
+        Moves that go round solids.
     travel_s, duration_s : float
     disk_bytes : int
     """
@@ -151,6 +154,8 @@ class Forecast:
     poses: int
     refused: int
     refused_by: dict[str, int]
+    marked_by: dict[str, int]
+    detours: int
     repeats: int
     frames: int
     travel_s: float
@@ -180,13 +185,15 @@ def lay_out(plan: Plan, rig: Rig) -> Itinerary:
     check_stations(plan, rig)
     _check_exposure(plan, rig)
     wi, wo, repeats = plan.directions()
-    kinematics = Kinematics(rig)
-    found = feasible(kinematics, wi, wo)
-    _check_refusals(plan, found)
+    kinematics, obstacles = Kinematics(rig), Obstacles(rig)
+    found = feasible(kinematics, wi, wo, obstacles, mark=plan.plan.spoiled == "mark")
     profile = Profile.of(rig)
     order = order_by_travel(found.angles_rad, profile, kinematics.park_rad)
-    angles = _turned_well(kinematics, found, order, profile)
-    return Itinerary(plan, rig, found, repeats, angles, order)
+    angles = _turned_well(kinematics, found, order, profile, obstacles)
+    found = replace(found, angles_rad=angles)
+    found, order, travel = travel_past(obstacles.clearance, found, order, kinematics.park_rad)
+    _check_refusals(plan, found)
+    return Itinerary(plan, rig, found, repeats, found.angles_rad, order, travel)
 
 
 def station_for(role: Role, plan: Plan, rig: Rig) -> str | None:
@@ -245,14 +252,23 @@ def _check_refusals(plan: Plan, found: Feasible) -> None:
 
 
 def _turned_well(
-    kinematics: Kinematics, found: Feasible, order: np.ndarray[Any, np.dtype[np.int64]], profile: Profile
+    kinematics: Kinematics,
+    found: Feasible,
+    order: np.ndarray[Any, np.dtype[np.int64]],
+    profile: Profile,
+    obstacles: Obstacles,
 ) -> FloatArray:
-    """Solve the poses again along the way: an arm may get there on another branch with less travel."""
+    """Solve the poses again along the way: an arm may get there on another branch with less travel.
+
+    Where something stands in that branch's way, the pose keeps the angles that it has.
+    """
     start = kinematics.park_rad
     near, again = start, np.empty_like(found.angles_rad)
     for row in order:
         pose = found.taken[row]
         near = again[row] = kinematics.solve(found.wi[pose], found.wo[pose], near)
+    blocked = [obstacle is not None for obstacle in obstacles.at(again)]
+    again[blocked] = found.angles_rad[blocked]
     before, after = (path_s(angles[order], profile, start) for angles in (found.angles_rad, again))
     return again if after < before else found.angles_rad
 

@@ -133,6 +133,11 @@ class Head(Part):
     refused: Literal["skip", "stop"] = Field(
         "skip", description="leave out and list the poses that the machine cannot take, or do not start"
     )
+    spoiled: Literal["drop", "mark"] = Field(
+        "drop",
+        description="poses whose sample a solid shades or hides, or with the lamp in the picture: leave out "
+        "as if the machine could not take them, or measure and mark them",
+    )
 
 
 class Exposure(Part):

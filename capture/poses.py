@@ -1,4 +1,4 @@
-"""Sets of poses, as pairs of directions, and which of them a machine can take.
+"""Sets of poses, as pairs of directions.
 
 Every generator is pure and returns ``(wi, wo)``, both of shape (N, 3), in the sample's frame. Angles are
 radians. The light's azimuth is given; the camera's is told relative to it, so that phi = pi is the side to
@@ -10,22 +10,17 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections import Counter
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from rig.angles import FloatArray, direction_to_spherical, spherical_to_direction
-from rig.errors import BadInput, Refused
+from rig.angles import FloatArray, spherical_to_direction
+from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-
-    from rig.kinematics import Kinematics
 
 Directions = tuple[FloatArray, FloatArray]
 
@@ -234,104 +229,3 @@ def without_repeats(wi: FloatArray, wo: FloatArray) -> tuple[FloatArray, FloatAr
     _, first = np.unique(keys, axis=0, return_index=True)
     kept = np.sort(first)
     return wi[kept], wo[kept], len(wi) - len(kept)
-
-
-class Reason(StrEnum):
-    """Why a machine cannot take a pose."""
-
-    BELOW_HORIZON = "light or camera at or below the sample's horizon"
-    SEPARATION = "light and camera too close together"
-    REACH = "outside the joints' limits"
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """A pose that a machine cannot take.
-
-    Attributes
-    ----------
-    index : int
-        Its place in the set.
-    reason : Reason
-    detail : str
-        One line with pose, joint, angle and limit.
-    """
-
-    index: int
-    reason: Reason
-    detail: str
-
-
-@dataclass(frozen=True, eq=False)
-class Feasible:
-    """A set of poses sorted by what a machine can take.
-
-    Attributes
-    ----------
-    wi, wo : ndarray, shape (N, 3)
-        The whole set.
-    taken : ndarray of int, shape (M,)
-        The poses that it can take.
-    angles_rad : ndarray, shape (M, J)
-        Joint angles of those.
-    refusals : tuple of Refusal
-        The N - M others.
-    """
-
-    wi: FloatArray
-    wo: FloatArray
-    taken: npt.NDArray[np.int64]
-    angles_rad: FloatArray
-    refusals: tuple[Refusal, ...]
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many poses are refused, by reason."""
-        return dict(Counter(refusal.reason.value for refusal in self.refusals))
-
-
-def feasible(kinematics: Kinematics, wi: FloatArray, wo: FloatArray) -> Feasible:
-    """Find joint angles for every pose, and why not where there are none.
-
-    Parameters
-    ----------
-    kinematics : Kinematics
-        Of the machine.
-    wi, wo : ndarray, shape (N, 3)
-
-    Returns
-    -------
-    Feasible
-    """
-    taken, angles, refusals = [], [], []
-    near = None
-    for index, (light, camera) in enumerate(zip(wi, wo, strict=True)):
-        if min(light[2], camera[2]) < _SAME:
-            refusals.append(Refusal(index, Reason.BELOW_HORIZON, _named(light, camera)))
-            continue
-        try:
-            near = kinematics.solve(light, camera, near)
-        except Refused as error:
-            refusals.append(
-                Refusal(index, _reason(kinematics, light, camera), f"{error.where}: {error.what}")
-            )
-        else:
-            taken.append(index)
-            angles.append(near)
-    joints = len(kinematics.joints)
-    return Feasible(
-        wi, wo, np.array(taken, dtype=np.int64), np.array(angles).reshape(-1, joints), tuple(refusals)
-    )
-
-
-def _reason(kinematics: Kinematics, wi: FloatArray, wo: FloatArray) -> Reason:
-    apart = 2.0 * math.atan2(float(np.linalg.norm(wi - wo)), float(np.linalg.norm(wi + wo)))
-    least = math.radians(kinematics.rig.clearance.min_separation_deg)
-    return Reason.SEPARATION if apart < least else Reason.REACH
-
-
-def _named(wi: FloatArray, wo: FloatArray) -> str:
-    theta, phi = direction_to_spherical(np.stack([wi, wo]))
-    angles = np.degrees([theta[0], phi[0], theta[1], phi[1]])
-    names = ("theta_i", "phi_i", "theta_o", "phi_o")
-    return "pose " + " ".join(f"{n} {a:.2f}" for n, a in zip(names, angles, strict=True)) + " deg"

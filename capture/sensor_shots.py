@@ -20,8 +20,8 @@ import numpy as np
 
 from capture.examine import Examiner
 from capture.exposure import Shutter
+from capture.feasible import feasible
 from capture.guards import require_disk
-from capture.poses import feasible
 from capture.raw import read_raw
 from capture.sensor_recipe import Recipe
 from capture.store import full_disk_in_one_line, write_durably

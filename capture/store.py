@@ -111,6 +111,8 @@ def _fill(folder: Path, itinerary: Itinerary, rig_file: Path | None, servos: Map
         refused = itinerary.feasible.counts
         if refused:
             journal.note("refused", reasons=refused)
+        for mark in itinerary.feasible.marks:
+            journal.note("spoiled", pose=mark.index, reason=mark.reason.value, detail=mark.detail)
     for file in folder.iterdir():
         if file.is_file():
             sync_file(file)

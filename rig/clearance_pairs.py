@@ -26,7 +26,7 @@ _ON_AXIS_MM = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class _Poses:
+class Poses:
     """Every solid at K poses: rotation (K, S, 3, 3), centre (K, S, 3), half the line of its rod (K, S, 3)."""
 
     turn: FloatArray
@@ -44,8 +44,13 @@ class SolidPairs:
     Attributes
     ----------
     kinematics : Kinematics
+    links : Links
     names : tuple of str
-        Of the solids.
+        Of the solids, S of them.
+    link : ndarray of int, shape (S,)
+        The link that carries each.
+    rod_radius_mm : ndarray, shape (S,)
+        Radius of a rod with round ends around each.
     pairs : ndarray of int, shape (P, 2)
         Places of both solids.
     margins_mm : ndarray, shape (P,)
@@ -58,8 +63,8 @@ class SolidPairs:
         self.kinematics = Kinematics(rig)
         self._margin_mm = rig.clearance.margin_mm
         self.names = tuple(solid.name for solid in rig.solids)
-        self._links = Links(self.kinematics)
-        self._link = np.array([self._links.index[solid.link] for solid in rig.solids], dtype=np.int64)
+        self.links = Links(self.kinematics)
+        self.link = np.array([self.links.index[solid.link] for solid in rig.solids], dtype=np.int64)
         shapes = [shape_of(solid) for solid in rig.solids]
         places = [placement(solid) for solid in rig.solids]
         self._turn = np.array([turn for turn, _ in places]).reshape(-1, 3, 3)
@@ -79,14 +84,14 @@ class SolidPairs:
         """Which joints make a difference, shape (J,)."""
         return np.asarray(self.levers_mm.any(axis=0))
 
-    def poses(self, angles_rad: FloatArray) -> _Poses:
+    def poses(self, angles_rad: FloatArray) -> Poses:
         """Place every solid at K poses, (K, J)."""
-        links = self._links.rotations(angles_rad)[:, self._link]
+        links = self.links.rotations(angles_rad)[:, self.link]
         turn = links @ self._turn
         centre = np.einsum("ksij,sj->ksi", links, self._centre)
-        return _Poses(turn, centre, np.einsum("ksij,sj->ksi", turn, self._rod))
+        return Poses(turn, centre, np.einsum("ksij,sj->ksi", turn, self._rod))
 
-    def at_least(self, poses: _Poses, pose: IntArray, pair: IntArray) -> FloatArray:
+    def at_least(self, poses: Poses, pose: IntArray, pair: IntArray) -> FloatArray:
         """Bound the distances of N pairs from below by those of the rods around them; exact for rods."""
         first, second = self.pairs[pair].T
         lines = rod_distances(
@@ -95,22 +100,13 @@ class SolidPairs:
             poses.centre_mm[pose, second],
             poses.rod_mm[pose, second],
         )
-        return np.asarray(lines - self._rod_radius[first] - self._rod_radius[second])
+        return np.asarray(lines - self.rod_radius_mm[first] - self.rod_radius_mm[second])
 
     def bounds(
-        self, poses: _Poses, pose: IntArray, pair: IntArray, question: Question | None = None
+        self, poses: Poses, pose: IntArray, pair: IntArray, question: Question | None = None
     ) -> Answer:
         """Bound the distances of N pairs at some poses from both sides; see `rig.convex.distances`."""
-        first, second = (
-            Solids(
-                self._half[solid],
-                self._disc[solid],
-                self._ball[solid],
-                poses.turn[pose, solid],
-                poses.centre_mm[pose, solid],
-            )
-            for solid in self.pairs[pair].T
-        )
+        first, second = (self.batch(poses, pose, solid) for solid in self.pairs[pair].T)
         return distances(first, second, question)
 
     def without(self, pair: IntArray) -> SolidPairs:
@@ -145,6 +141,16 @@ class SolidPairs:
         """Whether `at_least` is exact for pairs."""
         return np.asarray(self._both_rods[pair])
 
+    def batch(self, poses: Poses, pose: IntArray, solid: IntArray) -> Solids:
+        """Return some solids at some poses, N of each."""
+        return Solids(
+            self._half[solid],
+            self._disc[solid],
+            self._ball[solid],
+            poses.turn[pose, solid],
+            poses.centre_mm[pose, solid],
+        )
+
     def solids_of(self, pair: int) -> tuple[str, str]:
         """Names of a pair's solids."""
         first, second = self.pairs[pair]
@@ -167,14 +173,14 @@ class SolidPairs:
         across[np.arange(count), longest] = 0.0
         self._rod = np.zeros((count, 3))
         self._rod[np.arange(count), longest] = self._half[np.arange(count), longest]
-        self._rod_radius = np.linalg.norm(across, axis=1) + self._disc + self._ball
+        self.rod_radius_mm = np.linalg.norm(across, axis=1) + self._disc + self._ball
         self._is_rod = (self._disc == 0.0) & ~across.any(axis=1)
 
     def _levers(self) -> FloatArray:
         """Farthest that a point of each solid moves per radian of each joint, shape (S, J)."""
-        levers = np.zeros((len(self._link), len(self.kinematics.joints)))
-        for solid, link in enumerate(self._link):
-            joints = self._links.below[link]
+        levers = np.zeros((len(self.link), len(self.kinematics.joints)))
+        for solid, link in enumerate(self.link):
+            joints = self.links.below[link]
             if not joints:
                 continue
             corners = self._corners(solid)
@@ -204,7 +210,7 @@ class SolidPairs:
         levers = self._levers()
         against = np.zeros((len(pairs), levers.shape[1]))
         for place, pair in enumerate(pairs):
-            ways = [self._links.below[link] for link in self._link[pair]]
+            ways = [self.links.below[link] for link in self.link[pair]]
             common = sum(1 for _ in itertools.takewhile(lambda both: both[0] == both[1], zip(*ways)))  # noqa: B905
             for solid, way, other, others in zip(pair, ways, pair[::-1], ways[::-1], strict=True):
                 own = list(way[common:])
@@ -228,9 +234,9 @@ class SolidPairs:
 
     def _joined(self) -> BoolArray:
         """Which pairs are the two sides of one bearing: one joint between them, nearer than the margin."""
-        below = self._links.below
+        below = self.links.below
         joined = np.zeros(len(self.pairs), dtype=bool)
-        for place, (first, second) in enumerate(self._link[self.pairs]):
+        for place, (first, second) in enumerate(self.link[self.pairs]):
             longer, shorter = sorted((below[first], below[second]), key=len, reverse=True)
             joined[place] = longer[:-1] == shorter and len(longer) > len(shorter)
         asked = np.flatnonzero(joined)

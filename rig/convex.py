@@ -109,6 +109,9 @@ class Beams:
         along = directions[:, None, :]
         normals = self.normals[rows]
         sideways = along - np.sum(along * normals, axis=-1, keepdims=True) * normals
+        # Along the normal only rounding is left, and that may point out of the disc's plane.
+        size = np.linalg.norm(sideways, axis=-1, keepdims=True)
+        sideways[size[..., 0] <= _FLAT * np.linalg.norm(along, axis=-1)] = 0.0
         points = self.ends_mm[rows] + _on_rim(self.radii_mm, sideways)
         farther = np.argmax(np.sum(points * along, axis=-1), axis=-1)
         return np.asarray(points[np.arange(len(points)), farther])
@@ -171,32 +174,28 @@ def distances(a: Convex, b: Convex, question: Question | None = None) -> Answer:
     simplex = _Simplex.of(v, on_a)
     proved = np.zeros(count)
     for _ in range(_ITERATIONS):
+        if not rows.size:
+            break
         on_a = a.support(rows, -v)
         w = on_a - b.support(rows, v)
         # A point's length may be 0: then the solids overlap, and nothing is proved.
         proved = np.maximum(proved, np.einsum("ki,ki->k", v, w) / np.maximum(best, 1e-300))
         done = (best - proved <= TOLERANCE_MM) | (proved >= clear) | (best < near)
         done |= (proved >= near) & (best < clear) & np.isfinite(clear)
-        if not done.all():
-            following, weights = simplex.nearest(w)
-            length = np.linalg.norm(following, axis=1)
-            done |= length >= best  # rounding ends the search
-        if done.any():
-            out = rows[done]
-            lower[out], upper[out] = proved[done], best[done]
-            points[out, 0] = simplex.point_on_a()[done]
-            points[out, 1] = points[out, 0] - v[done]
-            if done.all():
-                rows = rows[:0]
-                break
+        following, weights = simplex.nearest(w)
+        length = np.linalg.norm(following, axis=1)
+        done |= length >= best  # rounding ends the search
+        out = rows[done]
+        lower[out], upper[out] = proved[done], best[done]
+        points[out, 0] = simplex.point_on_a()[done]
+        points[out, 1] = points[out, 0] - v[done]
         left = ~done
         simplex = simplex.grown(w, on_a, weights, left)
         rows, v, best = rows[left], following[left], length[left]
         near, clear, proved = near[left], clear[left], proved[left]
-    if rows.size:
-        lower[rows], upper[rows] = proved, best
-        points[rows, 0] = simplex.point_on_a()
-        points[rows, 1] = points[rows, 0] - v
+    lower[rows], upper[rows] = proved, best
+    points[rows, 0] = simplex.point_on_a()
+    points[rows, 1] = points[rows, 0] - v
     return Answer(lower - widened, upper - widened, points)
 
 

@@ -9,7 +9,6 @@ fixed seed, and the moves between them that are clear. Every leg of every way is
 from __future__ import annotations
 
 import itertools
-import math
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -196,37 +195,49 @@ class Detours:
 
     def _on_the_map(self, start: FloatArray, end: FloatArray) -> Iterator[tuple[int, FloatArray]]:
         """Go to the road map, on it, and from it to the end: first by way of near nodes, then of any."""
-        nodes = self._map[0]
         left = np.arange(len(start))
-        for most in (2 * NEIGHBOURS, len(nodes)):
-            found = set()
-            for move in left:
-                way = self._map_way(start[move], end[move], most)
-                if way is not None:
-                    found.add(move)
-                    yield int(move), self._shortened(start[move], way)
-            left = np.array([move for move in left if move not in found], dtype=np.int64)
+        for most in (2 * NEIGHBOURS, len(self._map[0])):
+            ways = self._map_ways(start[left], end[left], most)
+            found = np.array([way is not None for way in ways], dtype=bool)
+            kept = [way for way in ways if way is not None]
+            shorter = self._shortened(start[left[found]], kept)
+            yield from zip(left[found].tolist(), shorter, strict=True)
+            left = left[~found]
+            if not left.size:
+                return
 
-    def _map_way(self, start: FloatArray, end: FloatArray, most: int) -> FloatArray | None:
+    def _map_ways(self, start: FloatArray, end: FloatArray, most: int) -> list[FloatArray | None]:
+        """Ways of M moves by at most so many nodes near to their ends."""
         nodes, costs, before = self._map
-        near_start = _nearest(nodes, start, self._moving, most)
-        near_end = _nearest(nodes, end, self._moving, most)
+        near_start, near_end = (_nearest(nodes, poses, self._moving, most) for poses in (start, end))
         # Joints that make no difference go where they must on the way to the map.
         entry, leave = self._with_others(nodes[near_start], end), self._with_others(nodes[near_end], end)
-        into = Moves(np.broadcast_to(start, entry.shape), entry, self._clearance.profile)
-        out = Moves(leave, np.broadcast_to(end, leave.shape), self._clearance.profile)
-        into_s = np.where(self._clearance.moves(into.start, into.end).clear, into.duration_s, np.inf)
-        out_s = np.where(self._clearance.moves(out.start, out.end).clear, out.duration_s, np.inf)
-        total = into_s[:, None] + costs[np.ix_(near_start, near_end)] + out_s
-        first, last = np.unravel_index(int(np.argmin(total)), total.shape)
-        if not math.isfinite(total[first, last]):
-            return None
-        source, node = int(near_start[first]), int(near_end[last])
-        route = [node]
-        while node != source:
-            node = int(before[source, node])
-            route.append(node)
-        return np.concatenate([self._with_others(nodes[route[::-1]], end), end[None]])
+        into_s = self._clear_s(np.broadcast_to(start[:, None], entry.shape), entry)
+        out_s = self._clear_s(leave, np.broadcast_to(end[:, None], leave.shape))
+        ways: list[FloatArray | None] = []
+        for move in range(len(start)):
+            between = costs[np.ix_(near_start[move], near_end[move])]
+            total = into_s[move][:, None] + between + out_s[move]
+            if not np.isfinite(total).any():
+                ways.append(None)
+                continue
+            first, last = np.unravel_index(int(np.argmin(total)), total.shape)
+            source, node = int(near_start[move, first]), int(near_end[move, last])
+            route = [node]
+            while node != source:
+                node = int(before[source, node])
+                route.append(node)
+            ways.append(
+                np.vstack([self._with_others(nodes[None, route[::-1]], end[move, None])[0], end[move]])
+            )
+        return ways
+
+    def _clear_s(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Time of moves (M, N, J), shape (M, N); infinite for those that are not clear."""
+        joints = start.shape[-1]
+        moves = Moves(start.reshape(-1, joints), end.reshape(-1, joints), self._clearance.profile)
+        clear = self._clearance.moves(moves.start, moves.end).clear
+        return np.where(clear, moves.duration_s, np.inf).reshape(start.shape[:2])
 
     @cached_property
     def _map(self) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -235,7 +246,7 @@ class Detours:
         from scipy.sparse.csgraph import dijkstra
 
         nodes = self._nodes()
-        near = np.array([_nearest(nodes, node, self._moving, NEIGHBOURS + 1)[1:] for node in nodes])
+        near = _nearest(nodes, nodes, self._moving, NEIGHBOURS + 1)[:, 1:]
         source, target = np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()
         # A move and the move back are two: the servos' profiles make them take different ways.
         source, target = np.concatenate([source, target]), np.concatenate([target, source])
@@ -265,22 +276,27 @@ class Detours:
         return np.stack(columns, axis=1)
 
     def _with_others(self, nodes: FloatArray, end: FloatArray) -> FloatArray:
-        poses = np.tile(end, (len(nodes), 1))
-        poses[:, self._moving] = nodes[:, self._moving]
+        """Nodes (M, N, J) with the joints that make no difference where the M moves end."""
+        poses = np.repeat(end[:, None], nodes.shape[1], axis=1)
+        poses[..., self._moving] = nodes[..., self._moving]
         return poses
 
-    def _shortened(self, start: FloatArray, way: FloatArray) -> FloatArray:
-        """Leave out stops that are not needed, those nearest to the end first."""
-        kept = list(way)
-        here, place = start, 0
-        while place < len(kept) - 1:
-            ends = np.stack(kept[place + 1 :])
-            clear = np.flatnonzero(self._clearance.moves(np.broadcast_to(here, ends.shape), ends).clear)
-            if clear.size:
-                del kept[place : place + 1 + int(clear[-1])]
-            here = kept[place]
-            place += 1
-        return np.stack(kept)
+    def _shortened(self, start: FloatArray, ways: Sequence[FloatArray]) -> list[FloatArray]:
+        """Leave out the stops of M ways that are not needed: of all clear legs between them, the fastest."""
+        stops = [np.vstack([first, way]) for first, way in zip(start, ways, strict=True)]
+        legs = [
+            (way, begin, end)
+            for way, poses in enumerate(stops)
+            for begin, end in itertools.combinations(range(len(poses)), 2)
+        ]
+        if not legs:
+            return []
+        begins, ends = (np.stack([stops[leg[0]][leg[place]] for leg in legs]) for place in (1, 2))
+        seconds = dict(zip(legs, self._clear_s(begins[:, None], ends[:, None])[:, 0], strict=True))
+        return [
+            poses[_fastest({leg[1:]: took_s for leg, took_s in seconds.items() if leg[0] == way}, len(poses))]
+            for way, poses in enumerate(stops)
+        ]
 
     def _all_clear(self, start: FloatArray, ways: Sequence[FloatArray]) -> BoolArray:
         """Whether every leg of each way is clear."""
@@ -322,7 +338,17 @@ def _ordered_groups(joints: tuple[int, ...]) -> list[tuple[tuple[int, ...], ...]
     return sorted(orders, key=len)
 
 
-def _nearest(nodes: FloatArray, pose: FloatArray, moving: IntArray, most: int) -> IntArray:
-    """Places of the nodes nearest to a pose, by the joint that turns farthest."""
-    far = np.abs(nodes[:, moving] - pose[moving]).max(axis=1)
-    return np.argsort(far, kind="stable")[:most]
+def _nearest(nodes: FloatArray, poses: FloatArray, moving: IntArray, most: int) -> IntArray:
+    """Places (M, most) of the nodes nearest to M poses, by the joint that turns farthest."""
+    far = np.abs(nodes[None, :, moving] - poses[:, None, moving]).max(axis=2)
+    return np.argsort(far, axis=1, kind="stable")[:, :most]
+
+
+def _fastest(seconds: dict[tuple[int, int], float], count: int) -> list[int]:
+    """Find the stops after stop 0 of the fastest way from it to the last, from the times of its legs."""
+    best: list[tuple[float, list[int]]] = [(0.0, [])]
+    for end in range(1, count):
+        ways = [(best[begin][0] + seconds[begin, end] + LEG_S, best[begin][1]) for begin in range(end)]
+        took_s, stops = min(ways, key=lambda way: way[0])
+        best.append((took_s, [*stops, end]))
+    return best[-1][1]

@@ -97,6 +97,11 @@ def _kind(
     parser.add_argument(
         "--darks", type=int, default=3, help="dark frames at each of two exposures; default: 3"
     )
+    parser.add_argument(
+        "--mark-spoiled",
+        action="store_true",
+        help="measure poses whose sample is shaded or hidden, or with the lamp in the picture, and mark them",
+    )
     parser.add_argument("--no-white", action="store_true", help="do not shoot the white reference")
     add_json_option(parser)
     return parser
@@ -153,6 +158,7 @@ def _content(options: argparse.Namespace) -> dict[str, Any]:
             "sample": options.sample,
             "white": "none" if options.no_white else "poses",
             "refused": "stop" if strict else "skip",
+            "spoiled": "mark" if options.mark_spoiled else "drop",
         },
         "exposure": {"snr": options.snr, "first_s": options.first_s, "max_frames": options.max_frames},
         "darks": {"count": options.darks},
@@ -198,10 +204,14 @@ def _angle(text: str | float, option: str) -> float:
 
 
 def _print(itinerary: Itinerary, plan: Plan, written: Path, *, json: bool) -> None:
-    forecast, refusals = itinerary.forecast(), itinerary.feasible.refusals
+    forecast, feasible = itinerary.forecast(), itinerary.feasible
+    refusals = feasible.refusals
     coverage = itinerary.coverage()
     if json:
-        listed = [{"pose": r.index, "reason": r.reason.value, "detail": r.detail} for r in refusals]
+        listed, marked = (
+            [{"pose": r.index, "reason": r.reason.value, "detail": r.detail} for r in some]
+            for some in (refusals, feasible.marks)
+        )
         print_json(
             {
                 "plan": str(written),
@@ -210,6 +220,9 @@ def _print(itinerary: Itinerary, plan: Plan, written: Path, *, json: bool) -> No
                 "repeats": forecast.repeats,
                 "refused": listed,
                 "refused_by": forecast.refused_by,
+                "marked": marked,
+                "marked_by": forecast.marked_by,
+                "detours": forecast.detours,
                 "frames": forecast.frames,
                 "travel_s": forecast.travel_s,
                 "duration_s": forecast.duration_s,
@@ -230,6 +243,10 @@ def _print(itinerary: Itinerary, plan: Plan, written: Path, *, json: bool) -> No
         f"{coverage['theta_o_max_deg']:.1f} deg ({coverage['camera_directions']}); {coverage['in_plane']} in "
         f"plane, {coverage['near_specular']} within 5 deg of the mirror direction"
     )
+    if forecast.detours:
+        print(f"detours:   {forecast.detours} moves go round solids")
+    for reason, count in forecast.marked_by.items():
+        say(f"marked:    {_poses(count)}: {reason}")
     for reason, count in forecast.refused_by.items():
         say(f"refused:   {_poses(count)}: {reason}")
     for refusal in refusals[:LISTED]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from capture import poses
+from capture.feasible import Reason, feasible
 from rig.angles import direction_to_spherical, mirror
 from rig.errors import BadInput
 from rig.kinematics import Kinematics
@@ -80,12 +81,12 @@ def test_refused_poses_are_counted_and_named(default_rig: Rig) -> None:
     """Would catch a pose that disappears without a reason."""
     theta_o = np.radians([0.0, 30.0, 38.0, 80.0, 88.0, 90.0])
     wi, wo = poses.grid(np.radians([40.0]), theta_o, 0.0)
-    found = poses.feasible(Kinematics(default_rig), wi, wo)
+    found = feasible(Kinematics(default_rig), wi, wo)
     assert list(found.taken) == [0, 3]
     assert found.counts == {
-        poses.Reason.SEPARATION.value: 2,
-        poses.Reason.REACH.value: 1,
-        poses.Reason.BELOW_HORIZON.value: 1,
+        Reason.SEPARATION.value: 2,
+        Reason.REACH.value: 1,
+        Reason.BELOW_HORIZON.value: 1,
     }
     assert "8" in found.refusals[2].detail
     assert "camera_elevation" in found.refusals[2].detail
@@ -96,7 +97,7 @@ def test_taken_poses_reach_their_directions(default_rig: Rig) -> None:
     """Would catch angles that are stored for the wrong pose when others are refused."""
     wi, wo = poses.hemisphere(np.radians([10.0, 45.0]), 30, math.radians(80.0))
     kinematics = Kinematics(default_rig)
-    found = poses.feasible(kinematics, wi, wo)
+    found = feasible(kinematics, wi, wo)
     assert found.refusals
     light, camera = kinematics.directions(found.angles_rad)
     np.testing.assert_allclose(light, wi[found.taken], atol=1e-9)

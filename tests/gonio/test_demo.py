@@ -164,8 +164,8 @@ def test_too_few_poses_are_refused_before_anything_starts(tmp_path: Path) -> Non
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda sample: sample.name)
 def test_each_material_has_sixty_poses_that_the_machine_takes(sample: Any, tmp_path: Path) -> None:
     """Catches poses that are refused, repeated, or too few for what the demonstration promises."""
+    from capture.feasible import feasible
     from capture.plan import Head, Plan, PoseList
-    from capture.poses import feasible
     from rig.description import default_rig
     from rig.kinematics import Kinematics
 

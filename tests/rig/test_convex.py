@@ -153,3 +153,20 @@ def test_a_beam_is_the_hull_of_its_discs() -> None:
         slope = np.hypot(1.0, 20.0 / 500.0)
         expected = 3.0 / slope if 0.0 < height < 500.0 else 3.0
         assert distances(beam, point).upper_mm[0] == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_beam_on_its_axis_is_not_thickened_by_rounding() -> None:
+    """Catches a rim that rounding puts out of its disc's plane: the stage would shade its own sample."""
+    random = np.random.default_rng(0)
+    upright = np.array([[0.0, 0.0, 1.0]]) + random.normal(size=(500, 3)) * 1e-17
+    normals = np.stack([upright, upright], axis=1)
+    ends = np.tile([[0.0, 0.0, 0.5], [0.0, 0.0, 500.0]], (500, 1, 1))
+    stage = Solids(
+        np.tile([0.0, 0.0, 15.0], (500, 1)),
+        np.full(500, 30.0),
+        np.zeros(500),
+        rotation([0.0, 0.0, 1.0], random.uniform(-3.0, 3.0, 500)),
+        np.tile([0.0, 0.0, -15.0], (500, 1)),
+    )
+    beams = Beams(ends, normals, np.array([25.0, 2.5]))
+    np.testing.assert_allclose(distances(beams, stage).lower_mm, 0.5, atol=1e-4)
