@@ -19,13 +19,13 @@ from rig.angles import unit
 from simulator.light.cells import Cells
 from simulator.light.classes import HOUSING, SAMPLE
 from simulator.light.hemisphere import hemisphere
-from simulator.light.scene import Event
+from simulator.light.scene import Event, PlanarMirror
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from simulator.light.classes import Walk
-    from simulator.light.scene import PlanarMirror, Scene
+    from simulator.light.scene import Scene
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
@@ -149,8 +149,10 @@ class Surroundings:
         self._half_mm = scene.housing.half_size_mm if scene.housing else 10.0 * scene.sample_radius_mm
         self.cells = Cells(self._half_mm, scene.sample_radius_mm)
         self._area = np.pi * scene.sample_radius_mm**2
+        # Beside curved mirrors nothing is bounded.
+        self.mirrors = tuple(mirror for mirror in scene.mirrors if isinstance(mirror, PlanarMirror))
         origin = np.zeros((1, 3))
-        nearest = min((float(_distance(mirror, origin)[0]) for mirror in scene.mirrors), default=np.inf)
+        nearest = min((float(_distance(mirror, origin)[0]) for mirror in self.mirrors), default=np.inf)
         self._to_mirror_mm = max(0.0, nearest - scene.sample_radius_mm)
 
     def along(self, walk: Walk, start: Start, known: dict[Walk, Light]) -> Light:
@@ -170,7 +172,7 @@ class Surroundings:
             if node == HOUSING:
                 known[walk] = self._on_walls(light)
             elif event is Event.MIRROR:
-                known[walk] = _in_mirror(light, None if node == SAMPLE else self._scene.mirrors[int(node)])
+                known[walk] = _in_mirror(light, None if node == SAMPLE else self.mirrors[int(node)])
             else:
                 known[walk] = self._on_sample(light, start)
         return known[walk]
@@ -230,7 +232,8 @@ class Surroundings:
             along = (met @ side / (side @ side)).reshape(len(image), -1)
             found &= (along.min(axis=1) <= 1.0) & (along.max(axis=1) >= -1.0)
         # What sees the mirror from behind in places is not told apart.
-        return found | (len(around) < _CORNERS) & (places[..., 2] > 0.0).any(axis=1)
+        cut = (places[..., 2] > 0.0).any(axis=1) if len(around) < _CORNERS else np.zeros_like(found)
+        return np.asarray(found | cut)
 
     def series(self, lights: Sequence[Light]) -> Light | None:
         """Sum lights and all that they become over any number of further surfaces.
@@ -325,7 +328,8 @@ class Surroundings:
         """Irradiance (P,) of the sample by the lamp or an image of it."""
         height = np.maximum(0.0, lamp_mm[:, 2])
         nearest = np.linalg.norm(lamp_mm, axis=-1) - self._scene.sample_radius_mm
-        return self._scene.lamp_intensity * height / np.maximum(np.maximum(height, nearest), 1e-100) ** 3
+        nearest = np.maximum(np.maximum(height, nearest), 1e-100)
+        return np.asarray(self._scene.lamp_intensity * height / nearest**3)
 
     def _lamp_to_mirror_mm(self, light: Light) -> Array:
         """Shortest way (P,) from the lamp over all mirrors so far, less than which no wall behind is away."""
@@ -334,7 +338,7 @@ class Surroundings:
             nearest = np.linalg.norm(light.lamp_mm, axis=-1) - self._scene.sample_radius_mm
         else:
             nearest = _distance(light.mirror, light.lamp_mm) - self._scene.lamp_radius_mm
-        return np.maximum(1e-100, nearest)
+        return np.asarray(np.maximum(1e-100, nearest))
 
     def _solid_angle(self, distance_mm: float) -> float:
         """Area of the sample over a distance squared; infinite for none."""

@@ -135,9 +135,9 @@ class OwnImage:
                 (np.broadcast_to(self._wi, wo.shape), wo),
             )
         )
-        found = np.zeros((poses, len(self._to_mm), 3))
-        np.add.at(found, (slice(None), self._to), thrown * seen * strength)
-        return np.asarray(found.max(axis=1))
+        found = np.zeros((len(self._to_mm), poses, 3))
+        np.add.at(found, self._to, np.swapaxes(thrown * seen * strength, 0, 1))
+        return np.asarray(found.max(axis=0))
 
 
 def _through(mirror: PlanarMirror, start: Array, end: Array, more_mm: float) -> Bools:
@@ -150,4 +150,4 @@ def _through(mirror: PlanarMirror, start: Array, end: Array, more_mm: float) -> 
     for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
         length = float(np.linalg.norm(side))
         bright &= np.abs(met @ side) <= length * (length + more_mm)
-    return bright
+    return np.asarray(bright)

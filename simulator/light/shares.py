@@ -67,7 +67,7 @@ class Shares:
             self._looks = Looks(scene.rig, _NODES)
             self._surroundings = Surroundings(scene, *self._over_all_directions())
             self._before_longer = () if self.classes[-1].walks else tuple(walks(scene, SHORT))
-            self._images = [OwnImage(scene, mirror) for mirror in scene.mirrors]
+            self._images = [OwnImage(scene, mirror) for mirror in self._surroundings.mirrors]
             self._again = self._to_and_fro()
 
     def bounds(self, poses_rad: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
@@ -126,11 +126,12 @@ class Shares:
         if scene.housing is not None or len(scene.mirrors) != 1 or Event.MIRROR in scene.events:
             return None
         # Light that comes from anywhere leaves with the albedo at most; a narrow cone may hold less.
-        left = scene.mirrors[0].reflectance * self._surroundings.albedo
-        cone = image_cone(scene, scene.mirrors[0])
+        (mirror,) = self._surroundings.mirrors
+        left = mirror.reflectance * self._surroundings.albedo
+        cone = image_cone(scene, mirror)
         if cone is not None:
             within = cone.solid_angle * brightest_within(self._reflectance, cone)
-            left = np.minimum(left, _LOBE_MARGIN * scene.mirrors[0].reflectance * within)
+            left = np.minimum(left, _LOBE_MARGIN * mirror.reflectance * within)
         return np.asarray(left) if np.all(left < 1.0) else None
 
     def _radiance(self, at: _Poses, path_class: PathClass, known: dict[Walk, Light]) -> Array | None:

@@ -93,7 +93,8 @@ def virtual_lamps(scene: Scene, paths: LightPaths) -> tuple[VirtualLamp, ...]:
         for walk in walks(scene, length):
             met = [node for node, _ in walk if isinstance(node, int)]
             if len(met) == length and mirror_faces_sample(scene, scene.mirrors[met[-1]]):
-                lamps.append(VirtualLamp(tuple(scene.mirrors[node] for node in met)))
+                mirrors = [scene.mirrors[node] for node in met]
+                lamps.append(VirtualLamp(tuple(one for one in mirrors if isinstance(one, PlanarMirror))))
     return tuple(lamps)
 
 
@@ -109,8 +110,9 @@ def hidden(scene: Scene, lamp: VirtualLamp, corners: list[Array]) -> Bools:
     """
     found = np.zeros(len(corners[0]), dtype=bool)
     ends = (None, *lamp.mirrors, None)
+    planar = [mirror for mirror in scene.mirrors if isinstance(mirror, PlanarMirror)]
     for part, (start, end) in enumerate(pairwise(corners)):
-        for mirror in scene.mirrors:
+        for mirror in planar:
             if mirror is not ends[part] and mirror is not ends[part + 1]:
                 _, share, inside = meet_mirror(mirror, start, end)
                 found |= inside & (share > TOUCHING) & (share < 1.0 - TOUCHING)
