@@ -85,6 +85,32 @@ def grid(problem: Problem, slope: float | None) -> Grid:
     return Grid(np.array(list(itertools.product(*axes))), tuple(len(axis) for axis in axes))
 
 
+def lines(problem: Problem, shapes: Array) -> list[tuple[Array, int]]:
+    """Return the lines along each shape but the width through a point: its scan values and bounds.
+
+    Parameters
+    ----------
+    problem : Problem
+        For its S shapes and their bounds.
+    shapes : ndarray, shape (S,)
+        The point, in search coordinates.
+
+    Returns
+    -------
+    list of (ndarray of shape (M, S), int)
+        For each such shape the points in order, and which of them is the given one.
+    """
+    found = []
+    for i, (parameter, low, high) in enumerate(zip(problem.shapes, *problem.bounds(), strict=True)):
+        if parameter.of_slope is not None:
+            continue
+        values = np.unique(np.clip([low, *_axis(parameter, None), high, shapes[i]], low, high))
+        points = np.tile(shapes, (len(values), 1))
+        points[:, i] = values
+        found.append((points, int(np.searchsorted(values, shapes[i]))))
+    return found
+
+
 def _axis(parameter: Parameter, slope: float | None) -> list[float]:
     values = [parameter.coordinate.forward(value) for value in parameter.scan]
     width = _width(parameter, slope)

@@ -17,6 +17,13 @@ def test_beside_a_plain_fit(shared_data, name):
         assert our.rms <= 1.0001 * other.rms
 
 
+@pytest.mark.realdata
+def test_a_narrow_lobe_has_the_better_of_two_indices(shared_data):
+    """Catches a search that judges the index while the width is still wrong: 1 % of the cost."""
+    ours, plain = fit_plain.side_by_side([fit_plain.materials()["chrome-steel"]], "ggx-dielectric")
+    assert ours[0].rms <= 1.0001 * plain[0].rms
+
+
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
     """Catches an uncertainty wrong by a factor: the full study is slow."""
     cell = fit_coverage.study(0.02, 0.2, draws=120)
