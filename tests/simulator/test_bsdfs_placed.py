@@ -1,4 +1,4 @@
-"""The BSDF of a sample with axes, relief and pattern: drawn as its density says, reciprocal, no light made."""
+"""The BSDF of a sample with axes, relief and pattern: drawn as its density says, reciprocal, no light."""
 
 from __future__ import annotations
 
