@@ -221,6 +221,25 @@ def rotation(axis: npt.ArrayLike, angle: npt.ArrayLike) -> FloatArray:
     return np.asarray(cosine * np.eye(3) + np.sin(angle) * cross + (1.0 - cosine) * outer)
 
 
+def turned(w: npt.ArrayLike, angle: npt.ArrayLike) -> FloatArray:
+    """Turn directions about the sample's normal.
+
+    Parameters
+    ----------
+    w : array_like, shape (N, 3)
+        Directions.
+    angle : array_like, radians, shape (N,) or ()
+        Added to the azimuth of each.
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+    """
+    x, y, z = np.asarray(w, dtype=np.float64).T
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+
 def wrap(angle: npt.ArrayLike) -> FloatArray:
     """Bring angles into (-pi, pi]; angles that are already inside stay bit for bit what they are.
 

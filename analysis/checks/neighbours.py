@@ -140,7 +140,7 @@ def overstated(usable: Usable, around: Surroundings | None) -> Finding:
         ratio,
         limits,
         len(around.samples),
-        meaning="the stated uncertainty is too large, or common to all samples: fits weigh it as noise; "
+        meaning="the stated uncertainty is too large, or samples share it, while fits weigh it as noise; "
         "or values were smoothed, or come from a formula",
         where=f"most at {place(usable, around.samples[most])}",
     )

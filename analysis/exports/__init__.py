@@ -59,12 +59,13 @@ def export(model: Reflects, path: Path, *, name: str, channels: Sequence[str]) -
     from analysis.models.base import Model
 
     check_name(path)
-    if isinstance(model, Model) and not model.ISOTROPIC:
-        raise BadInput(
-            "is not isotropic, and no form that gonio exports is otherwise",
-            where=name,
-            todo="fit an isotropic model, or write the samples",
-        )
+    isotropic = not isinstance(model, Model) or model.ISOTROPIC
     if path.suffix.lower() in {".xml", ".json"}:
-        return mitsuba_material.write(model, path, name, channels)
+        return mitsuba_material.write(model, path, name, channels, isotropic=isotropic)
+    if not isotropic:
+        raise BadInput(
+            f"is not isotropic, which no {path.suffix} of gonio's holds",
+            where=name,
+            todo="export it as .xml or .json for Mitsuba, or fit an isotropic model",
+        )
     return metallic_roughness.write(model, path, name, channels)

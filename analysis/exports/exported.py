@@ -52,12 +52,16 @@ class Exported:
         )
 
 
-def compared_directions() -> tuple[Array, Array]:
-    """Return pairs of directions, dense at the peak: a grid of half and difference angles up to 80 deg."""
+def compared_directions(*, isotropic: bool = True) -> tuple[Array, Array]:
+    """Return pairs of directions, dense at the peak: a grid of half and difference angles up to 80 deg.
+
+    For anisotropic surfaces the half vectors lie at azimuths of half a turn.
+    """
     theta_h = np.radians(85.0) * np.linspace(0.0, 1.0, 30) ** 2
     theta_d, phi_d = np.radians(np.arange(0.0, 80.0, 8.0)), np.radians(np.arange(0.0, 181.0, 22.5))
-    grid = np.meshgrid(theta_h, theta_d, phi_d, indexing="ij")
-    wi, wo = (w.reshape(-1, 3) for w in from_half_difference(grid[0], 0.0, grid[1], grid[2]))
+    phi_h = np.zeros(1) if isotropic else np.radians(np.arange(0.0, 180.0, 22.5))
+    grid = np.meshgrid(theta_h, theta_d, phi_d, phi_h, indexing="ij")
+    wi, wo = (w.reshape(-1, 3) for w in from_half_difference(grid[0], grid[3], grid[1], grid[2]))
     above = (wi[:, 2] >= LOWEST_COSINE) & (wo[:, 2] >= LOWEST_COSINE)
     return wi[above], wo[above]
 

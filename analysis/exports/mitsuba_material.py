@@ -2,7 +2,8 @@
 
 Lambert is Mitsuba's `diffuse`. Its rough plugins are other formulas than any fitted here (masking by a
 rational approximation and not height-correlated, a diffuse part that knows the interface), so all other
-models are evaluated onto a tensor file that lies beside the description.
+models are evaluated onto a tensor file that lies beside the description; anisotropic ones for lights at
+azimuths of half a turn, as they look the same from the other side.
 """
 
 from __future__ import annotations
@@ -33,7 +34,13 @@ NEAR_ENOUGH = 0.01
 """95th percentile of the relative error up to which a table need not be finer, and larger."""
 
 
-def write(model: Reflects, path: Path, name: str, channels: Sequence[str]) -> Exported:
+GRAINED_SIDES = SIDES[:2]
+"""Sizes of a table with azimuths of the light: 69 and 154 MB."""
+
+
+def write(
+    model: Reflects, path: Path, name: str, channels: Sequence[str], *, isotropic: bool = True
+) -> Exported:
     """Write a model; see `analysis.exports.export`."""
     matrix = to_linear_srgb(channels)
 
@@ -47,10 +54,10 @@ def write(model: Reflects, path: Path, name: str, channels: Sequence[str]) -> Ex
         _describe(path, {"type": "diffuse", "reflectance": {"type": "rgb", "value": diffuse.tolist()}})
         return Exported("Mitsuba's diffuse, the same formula", (path.name,), 0.0, 0.0, 0.0)
     beside = path.with_suffix(".bsdf")
-    wi, wo = compared_directions()
+    wi, wo = compared_directions(isotropic=isotropic)
     true = in_srgb(wi, wo)
-    for side in SIDES:
-        tensors = table_of(in_srgb, name, side=side)
+    for side in SIDES if isotropic else GRAINED_SIDES:
+        tensors = table_of(in_srgb, name, side=side, isotropic=isotropic)
         from_table = _reader(Table(tensors, str(beside)))
         median, p95 = relative(from_table(wi, wo), true)
         if p95 <= NEAR_ENOUGH:

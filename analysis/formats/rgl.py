@@ -3,7 +3,7 @@
 Reading gives the value at the table's own nodes, divided by the cosine; negative values stay. Linear RGB of
 unnamed primaries unless the file names wavelengths. The file itself stays with the samples: as long as nobody
 changes them, writing gives its tensors bit for bit, and where somebody did, only the nodes around change.
-Other samples are interpolated onto an isotropic table.
+Other samples are interpolated onto a table.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analysis.formats.loss import Loss, compared, unchanged
+from analysis.formats.rgl_anisotropic import is_anisotropic, resample_anisotropic
 from analysis.formats.rgl_edited import edited_tensors
 from analysis.formats.rgl_layout import LAYOUT, is_unchanged, kept_table, nodes_of, with_layout
 from analysis.formats.rgl_resample import resample
@@ -70,7 +71,10 @@ def read(path: Path, *, no_cosine: bool = False) -> xr.Dataset:
 
 
 def write(samples: xr.Dataset, path: Path) -> Loss:
-    """Write samples: those of a table as that table, others as an isotropic one, one channel as grey.
+    """Write samples: those of a table as that table, others interpolated, one channel as grey.
+
+    Samples whose values depend on the light's azimuth make an anisotropic table, if they are scans with the
+    light at few azimuths; see `analysis.formats.rgl_anisotropic`.
 
     Of a table's samples some may have been changed, rejected or left out; see `analysis.formats.rgl_edited`.
 
@@ -91,11 +95,11 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     BadInput
         If the samples are too few, lie in one plane, or have channels that the format cannot hold.
     Refused
-        If they are anisotropic and no table of their own stands behind them.
+        If they are anisotropic, no table of their own stands behind them, and they are no scans.
     """
     kept = kept_table(samples)
     if kept is None:
-        tensors, loss = resample(samples)
+        tensors, loss = resample_anisotropic(samples) if is_anisotropic(samples) else resample(samples)
     elif is_unchanged(samples, kept):
         tensors, loss = kept.tensors, unchanged(samples, samples.sizes["sample"], kept=HELD)
     else:

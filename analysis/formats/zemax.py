@@ -24,7 +24,7 @@ from analysis.formats.loss import Loss, compared
 from analysis.formats.text import looks_like_text
 from analysis.formats.words import Words
 from analysis.samples import make_samples
-from rig.angles import direction_to_spherical, spherical_to_direction, wrap
+from rig.angles import direction_to_spherical, spherical_to_direction, turned, wrap
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def read(path: Path) -> xr.Dataset:
     rotation, incidence, azimuth, radial = (
         np.radians(angles).ravel() for angles in np.meshgrid(*grid, indexing="ij")
     )
-    wo = _turned(directions(incidence, azimuth, radial), rotation)
+    wo = turned(directions(incidence, azimuth, radial), rotation)
     wi = spherical_to_direction(incidence, rotation)
     # A radial angle of 0 is one direction, repeated in the row of each azimuth.
     repeated = np.broadcast_to((np.arange(shape[2])[:, None] > 0) & (grid.radial_deg == 0.0), shape)
@@ -132,12 +132,6 @@ def read(path: Path) -> xr.Dataset:
         flags=np.where(cells == 0.0, int(Flag.NOT_MEASURED), 0),
         source=path.name,
     )
-
-
-def _turned(w: Array, angle: Array) -> Array:
-    """Turn directions about the normal, each by its own angle."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack([cos * w[:, 0] - sin * w[:, 1], sin * w[:, 0] + cos * w[:, 1], w[:, 2]], axis=-1)
 
 
 def _header(words: Words, path: Path) -> tuple[Grid, tuple[str, ...]]:
@@ -251,7 +245,7 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
 
 def _specular_angles(theta_i: Array, phi_i: Array, wo: Array) -> tuple[Array, Array]:
     """Return the azimuth, folded to [0, pi], and the radial angle of view directions."""
-    x, y, z = _turned(wo, -phi_i).T
+    x, y, z = turned(wo, -phi_i).T
     sin_i, cos_i = np.sin(theta_i), np.cos(theta_i)
     local = np.stack([cos_i * x + sin_i * z, y, -sin_i * x + cos_i * z], axis=-1)
     radial, azimuth = direction_to_spherical(local)

@@ -63,6 +63,9 @@ class Interpolant:
         Finite values in 1/sr.
     u_independent, u_common : ndarray, shape (N, C), optional
         Standard uncertainty that is each sample's own, and that all share.
+    mirrored : bool
+        Whether f_r is the same on both sides of the plane of incidence, and with light and view exchanged:
+        not in one scan of an anisotropic surface, the light at one azimuth.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class Interpolant:
         *,
         u_independent: Array | None = None,
         u_common: Array | None = None,
+        mirrored: bool = True,
     ) -> None:
         place = places(wi, wo)
         if np.abs(place[:, 1]).max() < IN_PLANE:
@@ -93,7 +97,8 @@ class Interpolant:
         level = self.trend(wi, wo)
         own, shared = (np.zeros_like(f_r) if u is None else u for u in (u_independent, u_common))
         table = np.hstack([f_r / level, own / level, shared / level])
-        if (place[:, 1] >= -IN_PLANE).all() or (place[:, 1] <= IN_PLANE).all():
+        self._mirrored = mirrored
+        if mirrored and ((place[:, 1] >= -IN_PLANE).all() or (place[:, 1] <= IN_PLANE).all()):
             beside = np.abs(place[:, 1]) > IN_PLANE
             place = np.concatenate([place, place[beside] * FLIP])
             table = np.concatenate([table, table[beside]])
@@ -125,7 +130,7 @@ class Interpolant:
         level = self.trend(wi, wo)
         f_r, u = self._scaled(ratio, level)
         hole = ratio.hole.copy()
-        for turn in turns:
+        for turn in turns if self._mirrored else ():
             rows = np.flatnonzero(hole)
             other_wi, other_wo = turn(wi[rows], wo[rows])
             if self.theta_i.size:
