@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import struct
 import threading
@@ -247,3 +248,60 @@ def test_a_servo_that_stopped_answering_is_named(bench: Any) -> None:
 def test_everybody_on_the_bus_is_found(wire: Wire) -> None:
     """Catches a scan that loses servos when replies follow each other."""
     assert wire.broadcast_ping() == {i: (1000, wire.ping(i).data[2]) for i in (1, 2, 3)}
+
+
+def test_a_duplicated_reply_answers_one_question(bench: Any, wire: Wire) -> None:
+    """Catches the copy of a reply that is taken for the answer to the next question, of equal length."""
+    bench.says = lambda _request, reply: reply + reply
+    wire.write(1, VELOCITY.address, VELOCITY.encode(77))
+    for _ in range(5):
+        assert VELOCITY.decode(wire.read(1, VELOCITY.address, VELOCITY.size).data) == 77
+        assert POSITION.decode(wire.read(1, POSITION.address, POSITION.size).data) == 2048
+        replies = wire.sync_read([1, 2, 3], POSITION.address, POSITION.size)
+        assert [POSITION.decode(replies[i].data) for i in (1, 2, 3)] == [2048] * 3
+
+
+def test_a_goal_of_minus_131073_reaches_the_servo(bench: Any) -> None:
+    """Catches the goal whose bytes are FF FF FD FF: unstuffed it never arrives, alone or in a group."""
+    goal = -131_073
+    with ServoBus(bench.port) as bus:
+        for servo_id in (1, 2):
+            bus.write(servo_id, "operating_mode", 4)
+            bus.write(servo_id, "torque_enable", 1)
+        bus.write(1, "goal_position", goal)
+        bus.sync_write("goal_position", {2: goal})
+        assert [bus.read(servo_id, "goal_position") for servo_id in (1, 2)] == [goal, goal]
+
+
+def test_the_fastest_rate_is_known() -> None:
+    """Catches 4.5 MBd, which the servos speak and the SDK's table lacks."""
+    assert DeadlinePort("/dev/no-such-port", 4_500_000, 0.1).getCFlagBaud(4_500_000) == 4_500_000
+
+
+def test_a_scan_keeps_who_was_understood(bench: Any, wire: Wire) -> None:
+    """Catches one damaged reply to a broadcast that hides everybody else."""
+    bench.says = lambda _request, reply: reply[:-1] + bytes([reply[-1] ^ 1])  # the last servo's checksum
+    assert set(wire.broadcast_ping()) >= {1, 2}
+
+
+def test_a_request_that_came_too_late_is_not_carried_out(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a goal that is written long after whoever asked for it was told that it had failed."""
+    monkeypatch.setattr("rig.bus.DEADLINE_S", 0.1)
+    with ServoBus(bench.port) as bus:
+        held, free = threading.Event(), threading.Event()
+
+        def hold(_wire: Wire) -> None:
+            held.set()
+            free.wait(5.0)
+
+        threading.Thread(target=lambda: _ignoring(lambda: bus._submit(hold, urgent=True))).start()
+        assert held.wait(5.0)
+        with pytest.raises(DeviceLost, match="did not serve"):
+            bus.write(1, "led", 1)
+        free.set()
+        assert bus.read(1, "led") == 0
+
+
+def _ignoring(action: Callable[[], object]) -> None:
+    with contextlib.suppress(DeviceLost):
+        action()
