@@ -35,6 +35,7 @@ def audit(options: argparse.Namespace) -> int:
         No method covers the light of a scene.
     """
     from rig.description import default_rig, load_rig
+    from rig.surroundings import parse_mirror
     from simulator.light.audit import audit_poses, audit_scene, explain, stray_light
     from simulator.options import check_light
 
@@ -44,18 +45,23 @@ def audit(options: argparse.Namespace) -> int:
     if options.poses < 1:
         raise BadInput(f"{options.poses} poses", where="--poses", todo="ask for at least 1")
     rig = load_rig(options.rig) if options.rig else default_rig()
+    if options.mirror:
+        mirrors = tuple(parse_mirror(line) for line in options.mirror)
+        rig = rig.model_copy(update={"twin": rig.twin.model_copy(update={"mirrors": mirrors})})
+    tolerance = rig.twin.tolerance if options.tolerance is None else options.tolerance
+    albedo = rig.twin.housing_albedo if options.housing_albedo is None else options.housing_albedo
     poses = audit_poses(rig, options.poses, options.seed)
     ask = explain if options.explain else stray_light
     answers: dict[str, Any] = {}
     for material in options.material or [_DEFAULT_MATERIAL]:
-        mi, scene = audit_scene(rig, material, housing_albedo=options.housing_albedo, variant=options.variant)
-        answers[material] = ask(mi, scene, poses, options.tolerance)
+        mi, scene = audit_scene(rig, material, housing_albedo=albedo, variant=options.variant)
+        answers[material] = ask(mi, scene, poses, tolerance)
     if options.json:
         print_json(
             {
                 "joints": [joint.name for joint in rig.arm_joints],
-                "housing_albedo": options.housing_albedo,
-                "tolerance": options.tolerance,
+                "housing_albedo": albedo,
+                "tolerance": tolerance,
                 "materials": answers,
             }
         )
@@ -64,7 +70,7 @@ def audit(options: argparse.Namespace) -> int:
         print(f"{material}: light paths {answer['paths'] or 'none'}")
         for pose in answer["poses"]:
             print(f"\n  {_angles(pose['angles_deg'], rig.arm_joints)}")
-            _print_explained(pose, options.tolerance) if options.explain else _print_stray(answer, pose)
+            _print_explained(pose, tolerance) if options.explain else _print_stray(answer, pose)
         print()
     return 0
 

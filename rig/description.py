@@ -35,6 +35,7 @@ from rig.parts import (
 from rig.rig_checks import contradictions
 from rig.rig_errors import explain
 from rig.solids import Box, Capsule, Cylinder, Solid, Sphere
+from rig.surroundings import TwinLight
 
 __all__ = [
     "Arms",
@@ -53,6 +54,7 @@ __all__ = [
     "Sphere",
     "Station",
     "Supervision",
+    "TwinLight",
     "White",
     "default_rig",
     "dump_rig",
@@ -85,6 +87,9 @@ class Rig(Part):
     clearance: Clearance = Field(default_factory=Clearance, description="what keeps the arms apart")
     supervision: Supervision = Field(
         default_factory=Supervision, description="levels that pause a capture when they leave their band"
+    )
+    twin: TwinLight = Field(
+        default_factory=TwinLight, description="housing, mirrors and the exactness of the twin's light"
     )
     solids: tuple[Solid, ...] = Field(
         (), max_length=200, description="what must not touch, at most 200; none: only angles are checked"

@@ -13,7 +13,6 @@ import numpy as np
 from simulator.dng import DngMeta, exact_seconds, write_dng
 from simulator.light.renderer import Renderer
 from simulator.materials import ClosedFormMaterial
-from simulator.options import TOLERANCE
 from simulator.sensor import RGGB, Sensor, derived_seed
 
 if TYPE_CHECKING:
@@ -49,10 +48,11 @@ class FrameMaker:
         The hot folder, made where it is missing; by default the rig file's `ports.frames`.
     variant : str, optional
         Variant of Mitsuba; by default the fastest that can run.
-    housing_albedo : float
-        Albedo of the housing; 0 is black surroundings.
-    tolerance : float
-        Error of the light that is allowed, relative to the mean radiance over the sample.
+    housing_albedo : float, optional
+        Albedo of the housing; 0 is black surroundings; by default what the rig file says.
+    tolerance : float, optional
+        Error of the light that is allowed, relative to the mean radiance over the sample;
+        likewise.
     bits : int
         Depth of the camera's converter, 14 or 12.
 
@@ -72,8 +72,8 @@ class FrameMaker:
         *,
         folder: str | Path | None = None,
         variant: str | None = None,
-        housing_albedo: float = 0.0,
-        tolerance: float = TOLERANCE,
+        housing_albedo: float | None = None,
+        tolerance: float | None = None,
         bits: int = 14,
     ) -> None:
         self.rig, self.seed = rig, seed

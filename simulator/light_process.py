@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import BadInput, DeviceLost, GonioError, Refused, Transient, Unsafe
 from simulator.camera_faults import FaultyCamera
-from simulator.options import TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,10 +53,11 @@ class LightSettings:
         The twin's seed.
     variant : str or None
         Mitsuba's variant, None to choose.
-    housing_albedo : float
-        Of the walls around the machine; 0 is black.
-    tolerance : float
-        Error of the light that is allowed, relative to the mean radiance over the sample.
+    housing_albedo : float, optional
+        Of the walls around the machine; 0 is black; by default what the rig file says.
+    tolerance : float, optional
+        Error of the light that is allowed, relative to the mean radiance over the sample;
+        likewise.
     """
 
     folder: str
@@ -67,8 +67,8 @@ class LightSettings:
     materials: dict[str, str] = field(default_factory=dict)
     seed: int = 0
     variant: str | None = None
-    housing_albedo: float = 0.0
-    tolerance: float = TOLERANCE
+    housing_albedo: float | None = None
+    tolerance: float | None = None
 
     @property
     def rig_file(self) -> Path:

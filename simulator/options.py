@@ -10,10 +10,6 @@ from rig.errors import BadInput
 if TYPE_CHECKING:
     import argparse
 
-
-TOLERANCE = 1e-3
-"""Relative error of the light: a pixel's photon noise in a full exposure is five times as large."""
-
 _MOST_FLAWED = 45.0
 """Degrees of play, or ticks of error: no servo is as bad."""
 
@@ -38,10 +34,11 @@ class TwinSettings:
         Whether to keep a log of the wires.
     variant : str or None
         Mitsuba's variant, None to choose.
-    housing_albedo : float
-        Of the walls around the machine; 0 is black.
-    tolerance : float
-        Error of the light that is allowed, relative to the mean radiance over the sample.
+    housing_albedo : float, optional
+        Of the walls around the machine; 0 is black, None what the rig file says.
+    tolerance : float, optional
+        Error of the light that is allowed, relative to the mean radiance over the sample; None what the rig
+        file says.
     commands : int or None
         A descriptor: the twin ends with its other end, and each line on it flushes the log and is answered on
         standard output.
@@ -60,8 +57,8 @@ class TwinSettings:
     folder: str | None = None
     log: bool = True
     variant: str | None = None
-    housing_albedo: float = 0.0
-    tolerance: float = TOLERANCE
+    housing_albedo: float | None = None
+    tolerance: float | None = None
     commands: int | None = None
     faults: str | None = None
     backlash_deg: float = 0.0
@@ -87,14 +84,16 @@ def add_twin_options(parser: argparse.ArgumentParser) -> None:
         "--variant", help="Mitsuba's variant, scalar or llvm (default: the fastest that works)"
     )
     parser.add_argument(
-        "--housing-albedo", type=float, default=0.0, metavar="A", help="of the walls (default: 0, black)"
+        "--housing-albedo",
+        type=float,
+        metavar="A",
+        help="of the walls, 0 for black (default: twin.housing_albedo of the rig file)",
     )
     parser.add_argument(
         "--tolerance",
         type=float,
-        default=TOLERANCE,
         metavar="T",
-        help=f"relative error of the light that is allowed (default: {TOLERANCE:g})",
+        help="relative error of the light that is allowed (default: twin.tolerance of the rig file)",
     )
     parser.add_argument(
         "--backlash-deg",
@@ -122,10 +121,10 @@ def check_light(options: argparse.Namespace) -> None:
     BadInput
         Says which.
     """
-    if not 0.0 < options.tolerance < 1.0:
+    if options.tolerance is not None and not 0.0 < options.tolerance < 1.0:
         what = f"a tolerance of {options.tolerance:g}"
         raise BadInput(what, where="--tolerance", todo="give one between 0 and 1")
-    if not 0.0 <= options.housing_albedo < 1.0:
+    if options.housing_albedo is not None and not 0.0 <= options.housing_albedo < 1.0:
         what = f"a housing of albedo {options.housing_albedo:g}"
         raise BadInput(what, where="--housing-albedo", todo="give an albedo from 0, below 1")
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import DeviceLost
 from simulator.light_process import error_from
-from simulator.options import TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,10 +45,11 @@ class Twin:
         Script of faults, see `simulator.faults`.
     backlash_deg, steady_error_ticks : float
         Flaws of every servo, see `simulator.shaft.Flaws`.
-    housing_albedo : float
-        Of the walls around the machine; 0 is black.
-    tolerance : float
-        Error of the light that is allowed, relative to the mean radiance over the sample.
+    housing_albedo : float, optional
+        Of the walls around the machine; 0 is black; by default what the rig file says.
+    tolerance : float, optional
+        Error of the light that is allowed, relative to the mean radiance over the sample;
+        likewise.
 
     Attributes
     ----------
@@ -90,8 +90,8 @@ class Twin:
         faults: str | PathLike[str] | None = None,
         backlash_deg: float = 0.0,
         steady_error_ticks: float = 0.0,
-        housing_albedo: float = 0.0,
-        tolerance: float = TOLERANCE,
+        housing_albedo: float | None = None,
+        tolerance: float | None = None,
     ) -> None:
         self._arguments = [f"--seed={seed}", f"--speed={speed!r}"]
         for station, material in (materials or {}).items():
@@ -103,7 +103,8 @@ class Twin:
         self._arguments += [f"--faults={faults}"] if faults else []
         self._arguments += [f"--backlash-deg={backlash_deg!r}"]
         self._arguments += [f"--steady-error-ticks={steady_error_ticks!r}"]
-        self._arguments += [f"--housing-albedo={housing_albedo!r}", f"--tolerance={tolerance!r}"]
+        self._arguments += [] if housing_albedo is None else [f"--housing-albedo={housing_albedo!r}"]
+        self._arguments += [] if tolerance is None else [f"--tolerance={tolerance!r}"]
         self._arguments += [] if log else ["--no-log"]
         self._process: subprocess.Popen[str] | None = None
 

@@ -35,6 +35,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a sample to ask about (default: lambert:kd=0.5); may be repeated",
     )
     audit.add_argument(
+        "--mirror",
+        action="append",
+        default=[],
+        metavar="MIRROR",
+        help="a mirror beside the sample, such as planar:centre_mm=0/80/60,across_mm=50/0/0,up_mm=0/20/40 or "
+        "spherical:vertex_mm=-96/0/72,facing=0.8/0/-0.6,radius_mm=120,rim_mm=50,reflectance=0.9; may be "
+        "repeated (default: twin.mirrors of the rig file)",
+    )
+    audit.add_argument(
         "--poses", type=int, default=4, metavar="N", help="how many poses, drawn by --seed (default: 4)"
     )
     add_json_option(parser)

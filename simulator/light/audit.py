@@ -24,7 +24,7 @@ from simulator.light.mitsuba_scene import sample_events
 from simulator.light.path_classes import PathClasses, PathClassesMethod
 from simulator.light.planner import Planner
 from simulator.light.reflectance import material_reflectance
-from simulator.light.scene import Scene, default_housing
+from simulator.light.scene import Scene, rig_housing, rig_mirrors
 from simulator.light.solids import SolidsLight
 from simulator.materials import parse_material
 from simulator.variant import load_mitsuba
@@ -48,7 +48,7 @@ _LOWEST = 0.1
 
 
 def audit_scene(
-    rig: Rig, material: str, *, housing_albedo: float = 0.0, variant: str | None = None
+    rig: Rig, material: str, *, housing_albedo: float | None = None, variant: str | None = None
 ) -> tuple[Any, Scene]:
     """Return Mitsuba, and a material's scene.
 
@@ -58,8 +58,8 @@ def audit_scene(
         The machine.
     material : str
         Its line; see `simulator.materials`.
-    housing_albedo : float
-        0 is black surroundings.
+    housing_albedo : float, optional
+        0 is black surroundings; by default what the rig file says.
     variant : str, optional
         Of Mitsuba; by default the fastest that can run.
 
@@ -71,7 +71,8 @@ def audit_scene(
     mi = load_mitsuba(variant)
     bsdfs.register(mi)
     lies = seen_through(rig, parse_material(material), 1e-4)
-    return mi, Scene(rig, lies, sample_events(mi, lies), default_housing(rig, housing_albedo))
+    housing, mirrors = rig_housing(rig, housing_albedo), rig_mirrors(rig)
+    return mi, Scene(rig, lies, sample_events(mi, lies), housing, mirrors)
 
 
 def audit_poses(rig: Rig, count: int, seed: int) -> list[Pose]:

@@ -16,9 +16,8 @@ from simulator.bands import seen_through
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
 from simulator.light.planner import Planner
-from simulator.light.scene import Scene, default_housing
+from simulator.light.scene import Scene, rig_housing, rig_mirrors
 from simulator.materials import station_materials
-from simulator.options import TOLERANCE
 from simulator.variant import load_mitsuba
 
 if TYPE_CHECKING:
@@ -46,10 +45,11 @@ class Renderer:
         Variant of Mitsuba; by default the fastest that can run.
     white_rho : float, optional
         True albedo of the white; by default the one that the rig file states.
-    housing_albedo : float
-        Albedo of the housing; 0 is black surroundings.
-    tolerance : float
-        Error that is allowed, relative to the mean radiance over the sample.
+    housing_albedo : float, optional
+        Albedo of the housing; 0 is black surroundings; by default what the rig file says.
+    tolerance : float, optional
+        Error that is allowed, relative to the mean radiance over the sample;
+        likewise.
 
     Attributes
     ----------
@@ -69,8 +69,8 @@ class Renderer:
         *,
         variant: str | None = None,
         white_rho: float | None = None,
-        housing_albedo: float = 0.0,
-        tolerance: float = TOLERANCE,
+        housing_albedo: float | None = None,
+        tolerance: float | None = None,
     ) -> None:
         self._rig = rig
         rho = rig.white.rho if white_rho is None else white_rho
@@ -78,13 +78,14 @@ class Renderer:
         self.materials = station_materials(kinds, materials, rho)
         self._mi = load_mitsuba(variant)
         bsdfs.register(self._mi)
-        housing = default_housing(rig, housing_albedo)
+        tolerance = rig.twin.tolerance if tolerance is None else tolerance
+        housing, mirrors = rig_housing(rig, housing_albedo), rig_mirrors(rig)
         # Every material is looked at now: a mistake must not wait for the wheel.
         seen = {
             name: seen_through(rig, material, 0.1 * tolerance) for name, material in self.materials.items()
         }
         scenes = {
-            name: Scene(rig, material, sample_events(self._mi, material), housing)
+            name: Scene(rig, material, sample_events(self._mi, material), housing, mirrors)
             for name, material in seen.items()
         }
         self._planners = {

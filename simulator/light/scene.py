@@ -20,6 +20,7 @@ from rig.errors import BadInput
 from simulator.mounting import PLAIN
 
 if TYPE_CHECKING:
+    from rig import surroundings
     from rig.description import Rig
     from simulator.materials import Material
 
@@ -289,7 +290,45 @@ class Scene:
 
 
 def default_housing(rig: Rig, albedo: float) -> Housing | None:
-    """Return the housing of an albedo that leaves room for both arms; None for albedo 0."""
+    """Return the housing of an albedo, of the rig's size or with room for both arms; None for albedo 0.
+
+    Raises
+    ------
+    BadInput
+        The rig's housing does not hold its arms.
+    """
     if albedo == 0.0:
         return None
-    return Housing(albedo, HOUSING_HALF_SIZE * max(rig.lamp.distance_mm, rig.camera.distance_mm))
+    reach = max(rig.lamp.distance_mm, rig.camera.distance_mm)
+    half = rig.twin.housing_side_mm / 2.0 or HOUSING_HALF_SIZE * reach
+    if half <= reach:
+        what = f"a housing of {2.0 * half:g} mm does not hold arms of {reach:g} mm"
+        raise BadInput(what, where="twin.housing_side_mm", todo=f"give more than {2.0 * reach:g}, or 0")
+    return Housing(albedo, half)
+
+
+def rig_housing(rig: Rig, albedo: float | None = None) -> Housing | None:
+    """Return the housing that a rig file describes, perhaps of another albedo.
+
+    Raises
+    ------
+    BadInput
+        As `default_housing`.
+    """
+    return default_housing(rig, rig.twin.housing_albedo if albedo is None else albedo)
+
+
+def rig_mirrors(rig: Rig) -> tuple[Mirror, ...]:
+    """Return the mirrors that a rig file describes.
+
+    Raises
+    ------
+    BadInput
+        One of them cannot be.
+    """
+    return tuple(_mirror(described) for described in rig.twin.mirrors)
+
+
+def _mirror(described: surroundings.PlanarMirror | surroundings.SphericalMirror) -> Mirror:
+    fields = described.model_dump(exclude={"kind"})
+    return PlanarMirror(**fields) if described.kind == "planar" else SphericalMirror(**fields)

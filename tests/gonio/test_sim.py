@@ -110,6 +110,9 @@ def test_explain_tells_what_is_computed_and_what_is_skipped() -> None:
         ["--housing-albedo", "1.5"],
         ["--tolerance", "0"],
         ["--explain", "--material", "lambrt:kd=0.5"],
+        ["--explain", "--mirror", "round:radius_mm=3"],
+        ["--explain", "--mirror", "spherical:vertex_mm=-96/0/72,facing=0/0/0,radius_mm=120,rim_mm=50"],
+        ["--explain", "--mirror", "planar:centre_mm=a/b/c"],
     ],
 )
 def test_a_question_that_makes_no_sense_is_one_line(options: list[str]) -> None:
