@@ -71,7 +71,8 @@ class Step:
     def told(self) -> str:
         """Write it for a person: `G 1.034 +- 0.001`."""
         rows = zip(self.channels, self.ratio, self.u_ratio, strict=True)
-        return ", ".join(f"{name} {ratio:.4f} +- {u:.4f}" for name, ratio, u in rows)
+        told = ", ".join(f"{name} {ratio:.4f} +- {u:.4f}" for name, ratio, u in rows)
+        return told or "nothing that can be compared"
 
 
 def compare(

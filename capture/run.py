@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from capture.acquire import Acquisition
+from capture.creation import create_session, require_free
 from capture.documents import DocumentLog, SafeWait, make_engine
 from capture.examine import Examiner
 from capture.exposure import Chooser, Noise, Shutter, Target
@@ -34,7 +35,7 @@ from capture.session import (
     read_facts,
 )
 from capture.steps import cause_of
-from capture.store import Store, create_session, require_free
+from capture.store import Store
 from capture.wishes import CaptureResult, Wishes
 from rig.description import Rig, load_rig
 from rig.devices import ArmsDevice, CameraDevice, SupervisionDevice

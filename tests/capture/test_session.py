@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from capture import creation
 from capture import store as store_module
+from capture.creation import create_session
 from capture.itinerary import lay_out
 from capture.journal import Journal
 from capture.records import Held, PoseFlag, Role, Shot, ShotState
 from capture.session import JOURNAL_FILE, Session
 from capture.statistics import ChannelStatistics, FrameStatistics
-from capture.store import Store, create_session, frame_path, shot_id, write_durably
+from capture.store import Store, frame_path, shot_id, write_durably
 from rig.errors import BadInput, Refused
 
 if TYPE_CHECKING:
@@ -117,7 +119,7 @@ def test_a_session_appears_whole_or_not_at_all(
     def full(*_args: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(store_module, "dump_rig", full)
+    monkeypatch.setattr(creation, "dump_rig", full)
     with pytest.raises(Refused, match="disk is full"):
         create_session(tmp_path / "s", lay_out(make_plan(), default_rig), rig_file=None, servos={})
     assert list(tmp_path.iterdir()) == []
