@@ -59,7 +59,8 @@ class Rules:
         name, get = register.name, self._registers.get
         if not register.writable or (register.area is Area.EEPROM and get("torque_enable")):
             return StatusError.ACCESS
-        if name in GOALS and get("bus_watchdog") == WATCHDOG_TRIPPED:
+        awaits_clearing = name in GOALS or (name == "bus_watchdog" and value != 0)
+        if awaits_clearing and get("bus_watchdog") == WATCHDOG_TRIPPED:
             return StatusError.DATA_RANGE
         if not register.minimum <= value <= register.maximum or self._is_undefined(name, value):
             return StatusError.DATA_RANGE

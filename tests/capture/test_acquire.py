@@ -316,8 +316,8 @@ def test_the_fault_table_of_the_docs_is_the_program_s() -> None:
     proofs = re.findall(r"(test_\w+\.py)::(test_\w+)", page)
     assert len(proofs) >= 2 * len(POLICY)
     for file, name in proofs:
-        (path,) = (ROOT / "tests").rglob(file)
-        assert f"def {name}(" in path.read_text(encoding="utf-8"), f"{file}::{name}"
+        texts = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob(file)]
+        assert any(f"def {name}(" in text for text in texts), f"{file}::{name}"
 
 
 def test_finishing_ends_after_the_frame_and_resumes(
