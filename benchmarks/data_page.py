@@ -8,13 +8,11 @@ Results of parts that were run again alone, named `PART.json`, take the place of
 
 from __future__ import annotations
 
-import json
 import sys
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.rows import met, table
+from benchmarks.rows import gathered, sections
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,8 +82,6 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
 }
 """By part: its heading, what it does, and its figure."""
 
-COLUMNS = 110
-
 HEAD = """# Other laboratories' data, in numbers
 
 Written by `python -m benchmarks.data_page docs numbers.json` from what
@@ -97,32 +93,7 @@ names the formats) and not part of the project.
 
 def page(results: Sequence[dict[str, Any]]) -> str:
     """Set rows, named `part: name`, as a page with a section for each part."""
-    lines = [HEAD, met(results), ""]
-    for part, (title, text, picture) in TITLES.items():
-        own = [
-            {**each, "name": name}
-            for each in results
-            for of, _, name in [str(each["name"]).partition(": ")]
-            if of == part
-        ]
-        if not own:
-            continue
-        lines += [f"## {title}", "", *textwrap.wrap(f"`gonio bench {part}`. {text}", COLUMNS), ""]
-        lines += [f"![{picture[1]}](data/{picture[0]})", ""] if picture else []
-        lines += [*table(own), ""]
-    return "\n".join(lines)
-
-
-def gathered(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """Read results; a file named after a part takes that part's place."""
-    results: list[dict[str, Any]] = []
-    for path in paths:
-        rows = json.loads(path.read_text("utf-8"))["results"]
-        if path.stem in TITLES:
-            results = [each for each in results if not str(each["name"]).startswith(f"{path.stem}: ")]
-            rows = [{**each, "name": f"{path.stem}: {each['name']}"} for each in rows]
-        results += rows
-    return results
+    return "\n".join([HEAD, *sections(results, TITLES, "data")])
 
 
 def main() -> int:
@@ -130,7 +101,7 @@ def main() -> int:
     if len(sys.argv) < 3:
         print(__doc__)
         return 2
-    results = gathered([Path(path) for path in sys.argv[2:]])
+    results = gathered([Path(path) for path in sys.argv[2:]], TITLES)
     (Path(sys.argv[1]) / "data.md").write_text(page(results), "utf-8")
     return 0
 

@@ -16,11 +16,11 @@ SENSOR = SensorModel(GAIN, READ_DN, CLIP)
 TIMES = np.array([0.001, 0.004, 0.016, 0.064, 0.256, 1.024])
 
 
-def ramp(shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Smooth radiance over 4.5 decades, in DN/s: dark to just below the shortest frame's clip level."""
+def ramp(shape: tuple[int, int], low: float = 2.5, high: float = 7.0) -> NDArray[np.float32]:
+    """Smooth radiance in DN/s between two powers of ten, by default up to the shortest frame's clip level."""
     rows = np.linspace(0.0, 1.0, shape[0], dtype=np.float32)[:, np.newaxis]
     cols = np.linspace(0.0, 1.0, shape[1], dtype=np.float32)[np.newaxis]
-    return np.asarray(10.0 ** (2.5 + 4.5 * (0.8 * cols + 0.2 * rows)), dtype=np.float32)
+    return np.asarray(10.0 ** (low + (high - low) * (0.8 * cols + 0.2 * rows)), dtype=np.float32)
 
 
 def expose(

@@ -27,7 +27,7 @@ def test_a_part_that_was_run_again_takes_its_place(tmp_path):
     old = [_row("data_rgl: error", 5.0, 1.0, ok=False), _row("data_mwir: cosine", 40.0)]
     whole.write_text(json.dumps({"results": old}))
     again.write_text(json.dumps({"results": [_row("|error|", 3.0, 1.0, ok=False)]}))
-    text = page(gathered([whole, again]))
+    text = page(gathered([whole, again], TITLES))
     assert "| \\|error\\| | 3 % | 1 | **missed** |" in text
     assert "5 %" not in text
     assert "| cosine | 40 % |  |  |" in text
