@@ -51,8 +51,9 @@ NAMES = {
     "u_f_r": "as stated",
     "white": "noise of the white",
     "reference": "reflectance of the white",
+    "lamp": "drift of the lamp",
 }
-_CLASSES = {"white": Correlation.FRAME, "reference": Correlation.CALIBRATION}
+_CLASSES = {"white": Correlation.FRAME, "reference": Correlation.CALIBRATION, "lamp": Correlation.FRAME}
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,13 +6,14 @@ camera does to that pixel (vignetting, gain), S = f_s E_s V and W = (rho_w / pi)
     f_s = S / X,   X = W (pi / rho_w) (E_s / E_w),
 
 where E = (d / r)^2 cos(theta_i) is the small lamp's irradiance from the pixel's own geometry (Nicodemus et
-al. 1977 for f_r = dL / dE). V cancels because both images come from the same pixel. A light trap's image,
-where one was taken at the pose, is subtracted from both. Bins take ratios of sums of S and X
-(`analysis.binning`).
+al. 1977 for f_r = dL / dE). Where the lamp's photodiode was read for both images, X is also multiplied by the
+light's ratio L_s / L_w. V cancels because both images come from the same pixel. A light trap's image, where
+one was taken at the pose, is subtracted from both. Bins take ratios of sums of S and X (`analysis.binning`).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -54,12 +55,16 @@ class Options:
         Rim of the sample that is left out: chipped edges, and the pose's own uncertainty.
     max_theta_deg : float
         Pixels seen or lit from beyond this angle from the normal are left out.
+    lamp_drift : bool
+        Whether the lamp's measured drift between white and sample is taken out. Otherwise it is part of the
+        uncertainty.
     """
 
     bin_px: int = 8
     min_fill: float = 0.5
     edge_margin_mm: float = 0.5
     max_theta_deg: float = 85.0
+    lamp_drift: bool = True
 
 
 @dataclass(frozen=True)
@@ -74,12 +79,15 @@ class Image:
         Bits of `capture.merge.Flag`.
     angles_rad : (J,) float
         Measured angles of the arms' joints, in the order of `rig.arm_joints`.
+    lamp_output : float
+        Light over what the lamp's level promises; NaN where it was not measured.
     """
 
     radiance: Float
     variance: Float
     flags: NDArray[np.integer]
     angles_rad: Float
+    lamp_output: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -131,9 +139,9 @@ class PoseSamples:
         Unit directions to light and camera, sample frame.
     f_r : (N, C) float
         BRDF, 1/sr; NaN where `dropped` is not zero.
-    u_noise, u_white, u_reference, u_binning : (N, C) float
+    u_noise, u_white, u_reference, u_binning, u_lamp : (N, C) float
         Standard uncertainty columns, 1/sr: the sample's noise, the white's, the white's reflectance, the
-        bin's size.
+        bin's size, the lamp's drift between white and sample.
     dropped : (N, C) int
         Bits of `analysis.binning.Dropped`.
     bin_index : (N,) int
@@ -153,6 +161,7 @@ class PoseSamples:
     u_white: Float
     u_reference: Float
     u_binning: Float
+    u_lamp: Float
     dropped: Int
     bin_index: Int
     d_wi: Float
@@ -203,7 +212,9 @@ def reduce_pose(
     white_geometry = sample_geometry if same_pose else pixel_geometry(rig, white.angles_rad)
     geometries = (sample_geometry, white_geometry)
     seen = np.logical_and.reduce([_well_seen(rig, geometry, options) for geometry in geometries])
-    pixels = _signals(images, geometries, _to_unit_f(rig, geometries, reference, mosaic.channel), seen)
+    drift, u_drift = _lamp_drift(rig, images, correct=options.lamp_drift)
+    to_unit_f, e_sample = _to_unit_f(rig, geometries, reference, mosaic.channel)
+    pixels = _signals(images, geometries, (to_unit_f * drift, e_sample), seen)
     binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
     u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, images, bins, u_joint_rad)
     u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
@@ -220,6 +231,7 @@ def reduce_pose(
         u_white=np.hypot(binned.u_reference, np.abs(binned.ratio) * u_geometry)[kept],
         u_reference=np.abs(ratio) * relative_reference,
         u_binning=np.where(np.isfinite(ratio), u_binning[kept], np.nan),
+        u_lamp=np.abs(ratio) * u_drift,
         dropped=binned.dropped[kept],
         bin_index=kept,
         d_wi=d_wi[kept],
@@ -227,6 +239,18 @@ def reduce_pose(
         pixel_flags=_count_flags(sample.flags[sample_geometry.on_sample]),
         bins_dropped=_count_dropped(binned.dropped, binned.pixels),
     )
+
+
+def _lamp_drift(rig: Rig, images: PoseImages, *, correct: bool) -> tuple[float, float]:
+    """Light on the sample over that on the white, as far as it is taken out, and what is left uncertain.
+
+    Without readings of both nothing is known, and nothing is stated.
+    """
+    ratio = images.sample.lamp_output / images.white.lamp_output
+    if not math.isfinite(ratio):
+        return 1.0, 0.0
+    # A drift that is left in is an error of unknown part, as large as the drift.
+    return (ratio, rig.lamp.u_monitor) if correct else (1.0, math.hypot(ratio - 1.0, rig.lamp.u_monitor))
 
 
 def _to_unit_f(

@@ -191,6 +191,7 @@ def assemble(
         u_white=joined("u_white"),
         u_reference=joined("u_reference"),
         u_binning=joined("u_binning"),
+        u_lamp=joined("u_lamp"),
         white_group=white * bins + joined("bin_index"),
         pose=np.repeat([pose.number for pose in poses], counts),
         d_wi=joined("d_wi"),

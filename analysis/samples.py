@@ -14,6 +14,7 @@ u_binning       sample, channel    1/sr  independent from sample to sample
 u_white         sample, channel    1/sr  one error in each `white_group` and channel
 white_group     sample             1     number of the group
 u_reference     sample, channel    1/sr  one error for the session and all channels: white's rho
+u_lamp          sample, channel    1/sr  one error for each pose and all channels: drift of the light
 u_repeatability sample, channel    1/sr  what repeats of the measurement differ by; no weight of fits
 pose            sample             1     number of the pose
 d_wi, d_wo      sample, joint, xyz 1/rad change of the directions per radian of each joint
@@ -59,6 +60,7 @@ UNITS = {
     "u_white": "1/sr",
     "u_reference": "1/sr",
     "u_binning": "1/sr",
+    "u_lamp": "1/sr",
     "u_repeatability": "1/sr",
     "white_group": "1",
     "pose": "1",

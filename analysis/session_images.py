@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -17,8 +18,10 @@ from capture.raw import read_raw
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from capture.raw import RawFrame
-    from capture.session import PoseRecord, Session
+    from capture.session import FrameRecord, PoseRecord, Session
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,13 @@ class SessionImages:
             np.asarray(merged.variance, dtype=np.float64),
             merged.flags,
             np.asarray(record.angles_rad, dtype=np.float64),
+            self._lamp_output(frames),
         )
+
+    def _lamp_output(self, frames: Sequence[FrameRecord]) -> float:
+        """Light of a merge: long frames count for more in it, nearly as their exposures do."""
+        outputs = [self.session.lamp_outputs.get(frame.shot_id, math.nan) for frame in frames]
+        return float(np.average(outputs, weights=[frame.exposure_s for frame in frames]))
 
     def mosaic(self) -> Mosaic:
         """Give the colour filter of the session's camera, from its first frame."""

@@ -2,9 +2,10 @@
 
 An error of size u that n samples share does not average out over them. Each column therefore knows its group:
 noise and binning belong to one sample and channel; the white's noise to all samples that were divided by the
-same white pixels; the white's reflectance to the whole session and all channels; a joint's angle to all
-samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
-100:2008, section 5.2: correlated input quantities.)
+same white pixels; the lamp's drift between white and sample to all samples and channels of one pose; the
+white's reflectance to the whole session and all channels; a joint's angle to all samples and channels of one
+pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM 100:2008, section 5.2:
+correlated input quantities.)
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 INDEPENDENT = ("u_noise", "u_binning")
-IN_F = ("u_noise", "u_binning", "u_white", "u_reference")
+IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp")
 """Columns in 1/sr: the ones that u_f_r is the quadrature of."""
 
 STEP_RAD = 1e-5
@@ -78,7 +79,7 @@ def independent(samples: xr.Dataset) -> Array:
 
 
 def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
-    """Shared errors that are already in 1/sr: the white's noise and the reference's reflectance."""
+    """Shared errors in 1/sr: the white's noise, the reference's reflectance, the lamp's drift at a pose."""
     errors = []
     count = samples.sizes["sample"]
     if not any(name in samples for name in INDEPENDENT):
@@ -94,6 +95,9 @@ def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
         errors.append(
             SharedError("reference", samples["u_reference"].to_numpy(), everyone, across_channels=True)
         )
+    if "u_lamp" in samples and "pose" in samples:
+        pose = _dense(samples["pose"].to_numpy())
+        errors.append(SharedError("lamp", samples["u_lamp"].to_numpy(), pose, across_channels=True))
     return errors
 
 

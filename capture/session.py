@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ from rig.errors import BadInput
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Iterator
     from types import TracebackType
 
     from capture.plan import Plan
@@ -177,6 +179,23 @@ class Session:
         return load_plan(self.folder / PLAN_FILE)
 
     @cached_property
+    def lamp_outputs(self) -> dict[str, float]:
+        """Light over what the lamp's level promises, by the shot's ID; those where it was measured.
+
+        From the documents, which hold every frame's; where their end is lost, from the journal's levels,
+        which hold that of the last frame of each visit.
+        """
+        last = {row.visit: row.lamp_output for row in self.journal.levels()}
+        shots = self.journal.shots()
+        found = {shot.shot_id: last.get(shot.visit) for shot in shots if shot.lit}
+        for name, document in read_documents(self.folder / DOCUMENTS_FILE):
+            data = document.get("data", {}) if name == "event" else {}
+            if data.get("camera_shot_id") in found:
+                found[data["camera_shot_id"]] = data.get("camera_lamp_output")
+        usable = {shot: value for shot, value in found.items() if isinstance(value, float) and value > 0.0}
+        return {shot: value for shot, value in usable.items() if math.isfinite(value)}
+
+    @cached_property
     def sensor(self) -> SensorModel | None:
         """The sensor's calibration, None where the machine had none."""
         return load_session_sensor(self.folder)
@@ -307,6 +326,20 @@ def read_facts(folder: Path) -> dict[str, Any]:
     if not isinstance(facts, dict) or facts.get("gonio_session") != FORMAT_VERSION:
         raise BadInput("a session of another version", where=str(path), todo="use the gonio that wrote it")
     return facts
+
+
+def read_documents(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Read a session's documents; lines that a dead process cut short are passed over."""
+    if not path.is_file():
+        return
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            try:
+                name, document = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(name, str) and isinstance(document, dict):
+                yield name, document
 
 
 def load_session_sensor(folder: Path) -> SensorModel | None:

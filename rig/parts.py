@@ -127,6 +127,12 @@ class Lamp(Part):
         description="share by which the photodiode may differ from the level, above 0 to 1; "
         "a frame with less or more light does not count",
     )
+    u_monitor: float = Field(
+        0.0005,
+        ge=0,
+        le=1,
+        description="relative standard uncertainty of a ratio of two of the photodiode's readings, 0 to 1",
+    )
     spectrum: str = Field(
         "",
         description="table of its relative power over nm, a file or colour:NAME, for the twin; empty: even",

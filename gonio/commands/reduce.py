@@ -39,6 +39,7 @@ EXAMPLE = (
 
 DEFAULT_BIN_PX = 8
 DEFAULT_MAX_THETA_DEG = 85.0
+CORRECTIONS = ("lamp-drift",)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +58,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="T",
         help=f"session: leave out pixels lit or seen from beyond it (default: {DEFAULT_MAX_THETA_DEG:g})",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        choices=CORRECTIONS,
+        metavar="CORRECTION",
+        help=f"session: leave a correction out, and its error in the uncertainty: {', '.join(CORRECTIONS)}",
     )
     parser.add_argument("--recipe", metavar="NAME|FILE", help="reduce raw files by the steps of a recipe")
     parser.add_argument("--blank", metavar="FILE", help="recipe: the measurement without a sample")
@@ -185,7 +194,8 @@ def _session(options: argparse.Namespace) -> int:
     from analysis.samples import write
     from capture.session import Session
 
-    chosen = Options(bin_px=bin_px, max_theta_deg=max_theta_deg)
+    drift = "lamp-drift" not in options.without
+    chosen = Options(bin_px=bin_px, max_theta_deg=max_theta_deg, lamp_drift=drift)
     out = Path(options.out) if options.out else Path(given) / "samples.nc"
     with Session.open(Path(given)) as session:
         require_writer(out)  # before the work, not after it

@@ -44,6 +44,7 @@ class RecordedSession:
     sensor: SensorModel | None
     name: str = "test session"
     records: list[PoseRecord] = field(default_factory=list)
+    lamp_outputs: dict[str, float] = field(default_factory=dict)
 
     def poses(self, role: str | None = None) -> list[PoseRecord]:
         """All records, or those of one role."""
