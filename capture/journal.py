@@ -178,6 +178,13 @@ class Journal:
             "lamp_drift FROM levels ORDER BY level",
         )
 
+    def first_lamp_output(self) -> float | None:
+        """Light of the session's first lit pose over what the lamp's level promises; None before it."""
+        if not self._has_levels:
+            return None
+        query = "SELECT lamp_output FROM levels WHERE lamp_output IS NOT NULL ORDER BY level LIMIT 1"
+        return next(iter(self._read(float, query)), None)
+
     def camera(self) -> tuple[str | None, str | None] | None:
         """Tell serial number and model of the camera of the session's frames; None before the first."""
         found = [event.detail for event in self.events() if event.kind == "camera"]

@@ -141,7 +141,7 @@ class Supervision:
         if levels is None:
             return
         output = None if math.isnan(levels.lamp_output) else levels.lamp_output
-        first = next((row.lamp_output for row in self.journal.levels() if row.lamp_output), output)
+        first = self.journal.first_lamp_output() or output
         self.journal.log_levels(
             LevelsRecord(
                 visit.number,
