@@ -129,11 +129,12 @@ class Obstacles:
     Attributes
     ----------
     clearance : Clearance
+    shadows : Shadows
     """
 
     def __init__(self, rig: Rig) -> None:
         self.clearance = Clearance(rig)
-        self._shadows = Shadows(rig)
+        self.shadows = Shadows(rig)
 
     def at(self, angles_rad: FloatArray) -> list[tuple[Reason, str] | None]:
         """Tell what stands in the way of K poses.
@@ -148,15 +149,15 @@ class Obstacles:
             Why each is refused or spoiled, in a word and in a line; None where it is neither.
         """
         found: list[tuple[Reason, str] | None] = [None] * len(angles_rad)
-        near, sight = self.clearance.poses(angles_rad), self._shadows.at(angles_rad)
+        near, sight = self.clearance.poses(angles_rad), self.shadows.at(angles_rad)
         for pose in np.flatnonzero(~(near.clear & sight.clear)):
             if not near.clear[pose]:
                 found[pose] = Reason.CLEARANCE, self.clearance.describe(near, int(pose))
             elif sight.shaded_by[pose] >= 0:
-                name = self._shadows.names[sight.shaded_by[pose]]
+                name = self.shadows.names[sight.shaded_by[pose]]
                 found[pose] = Reason.SHADED, f"{name} would shade the sample"
             elif sight.hidden_by[pose] >= 0:
-                name = self._shadows.names[sight.hidden_by[pose]]
+                name = self.shadows.names[sight.hidden_by[pose]]
                 found[pose] = Reason.HIDDEN, f"{name} would hide the sample from the camera"
             else:
                 found[pose] = Reason.LAMP_IN_VIEW, "the lamp would shine into the camera's frame"

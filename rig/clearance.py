@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.clearance_pairs import SolidPairs
-from rig.errors import Refused
 from rig.motion import Moves, ServoProfile
 from rig.swept import near_poses, sweep
 
@@ -91,19 +90,21 @@ class Clearance:
     def nearest(self, angles_rad: npt.ArrayLike) -> Nearness | None:
         """Find the two solids that are nearest at a pose; None if there are no two that move past each other.
 
+        Pairs that no pose brings near, such as two sides of a bearing, count only where there are no others.
+
         Parameters
         ----------
         angles_rad : array_like, shape (J,)
         """
-        count = len(self._all.pairs)
+        pairs = self.pairs if len(self.pairs.pairs) else self._all
+        count = len(pairs.pairs)
         if not count:
             return None
-        poses = self._all.poses(np.asarray(angles_rad, dtype=np.float64)[None])
-        here = np.zeros(count, dtype=np.int64)
-        answer = self._all.bounds(poses, here, np.arange(count))
+        poses = pairs.poses(np.asarray(angles_rad, dtype=np.float64)[None])
+        answer = pairs.bounds(poses, np.zeros(count, dtype=np.int64), np.arange(count))
         pair = int(np.argmin(answer.upper_mm))
-        points = self._all.on_surfaces(pair, answer.points_mm[pair])
-        return Nearness(self._all.solids_of(pair), max(float(answer.upper_mm[pair]), 0.0), points)
+        points = pairs.on_surfaces(pair, answer.points_mm[pair])
+        return Nearness(pairs.solids_of(pair), max(float(answer.upper_mm[pair]), 0.0), points)
 
     def describe(self, found: Sweep, number: int) -> str:
         """Say which solids come too near, and at which angles.
@@ -121,28 +122,6 @@ class Clearance:
             for joint, angle in zip(self.rig.arm_joints, found.angles_rad[number], strict=True)
         )
         return f"{first} and {second} would be nearer than {self.pairs.margins_mm[pair]:.3g} mm at {at} deg"
-
-    def require_pose(self, angles_rad: npt.ArrayLike, where: str = "pose") -> None:
-        """Pass only if no two solids are nearer than the margin at a pose.
-
-        Parameters
-        ----------
-        angles_rad : array_like, shape (J,)
-        where : str
-            The pose's name in the message.
-
-        Raises
-        ------
-        Refused
-            The message names the solids and the angles.
-        """
-        found = self.poses(np.asarray(angles_rad, dtype=np.float64)[None])
-        if not found.clear[0]:
-            raise Refused(
-                self.describe(found, 0),
-                where=where,
-                todo="choose another pose; 'gonio rig show' draws it",
-            )
 
 
 def _never_near(pairs: SolidPairs) -> npt.NDArray[np.int64]:

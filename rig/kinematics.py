@@ -175,10 +175,25 @@ class Kinematics:
             It is not; the message names the joint, its angle and its limits.
         """
         angles = self._angles(angles_rad, axes=1)
+        self.require_limits(angles)
+        self._check_separation(*self.directions(angles), where=lambda: "pose")
+
+    def require_limits(self, angles_rad: npt.ArrayLike) -> None:
+        """Make sure that a pose is within the joints' limits.
+
+        Parameters
+        ----------
+        angles_rad : array_like, shape (J,)
+
+        Raises
+        ------
+        Refused
+            It is not; the message names the joint, its angle and its limits.
+        """
+        angles = self._angles(angles_rad, axes=1)
         for joint, angle, (low, high) in zip(self.joints, angles, self.reach_rad, strict=True):
             if not low - _ROUNDING_RAD <= angle <= high + _ROUNDING_RAD:
                 raise beyond_limits(joint, float(angle), where="pose")
-        self._check_separation(*self.directions(angles), where=lambda: "pose")
 
     def solve(self, wi: npt.ArrayLike, wo: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Find joint angles that bring lamp and camera to given directions.

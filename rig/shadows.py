@@ -114,58 +114,68 @@ class Shadows:
             np.concatenate([part.lamp_in_view for part in parts]),
         )
 
+    def beams(self, angles_rad: FloatArray) -> tuple[Beams, Beams]:
+        """Return the light's way to the sample and the camera's rays at K poses, in the frame of the base."""
+        normal, discs = self._discs(angles_rad)
+        light, camera = (self._beams(normal, disc) for disc in discs)
+        return light, camera
+
     def _look(self, angles_rad: FloatArray) -> Sight:
+        normal, discs = self._discs(angles_rad)
+        poses = self._solids.poses(angles_rad)
+        shaded, hidden = (self._met(poses, normal, disc) for disc in discs)
+        camera_turn = self._solids.links.rotations(angles_rad)[:, self._solids.links.camera]
+        return Sight(shaded, hidden, self._in_view(camera_turn, *discs))
+
+    def _discs(self, angles_rad: FloatArray) -> tuple[FloatArray, tuple[_Disc, _Disc]]:
+        """Find the sample's normal (K, 3), and the discs of lamp and pupil."""
         rig, links = self._rig, self._solids.links
         turned = links.rotations(angles_rad)
         to_lamp, to_camera, normal = (
             turned[:, link, :, 2] for link in (links.light, links.camera, links.sample)
         )
-        lamp, camera = rig.lamp.distance_mm * to_lamp, rig.camera.distance_mm * to_camera
-        poses = self._solids.poses(angles_rad)
-        shaded, hidden = (
-            self._met(poses, normal, disc)
-            for disc in (
-                _Disc(lamp, to_lamp, rig.lamp.diameter_mm / 2.0, links.light),
-                _Disc(camera, to_camera, rig.camera.aperture_diameter_mm / 2.0, links.camera),
-            )
-        )
-        return Sight(shaded, hidden, self._in_view(turned[:, links.camera], lamp, camera, to_lamp))
+        lamp = _Disc(rig.lamp.distance_mm * to_lamp, to_lamp, rig.lamp.diameter_mm / 2.0, links.light)
+        pupil_mm = rig.camera.aperture_diameter_mm / 2.0
+        pupil = _Disc(rig.camera.distance_mm * to_camera, to_camera, pupil_mm, links.camera)
+        return normal, (lamp, pupil)
+
+    def _beams(self, normal: FloatArray, disc: _Disc) -> Beams:
+        """All between the sample, lifted, and a disc."""
+        ends = np.stack([LIFT_MM * normal, disc.centre_mm], axis=1)
+        normals = np.stack([normal, disc.normal], axis=1)
+        return Beams(ends, normals, np.array([self._rig.sample.diameter_mm / 2.0, disc.radius_mm]))
 
     def _met(self, poses: Poses, normal: FloatArray, disc: _Disc) -> IntArray:
         """Find a solid in each beam between a disc and the sample; -1 where there is none."""
         solids = self._solids
         met = np.full(len(normal), -1, dtype=np.int64)
         others = np.flatnonzero(solids.link != disc.link)
-        sample_mm = self._rig.sample.diameter_mm / 2.0
-        foot = LIFT_MM * normal
+        beams = self._beams(normal, disc)
         pose, solid = (index.ravel() for index in np.meshgrid(np.arange(len(met)), others, indexing="ij"))
         around = rod_distances(
-            ((disc.centre_mm + foot) / 2.0)[pose],
-            ((disc.centre_mm - foot) / 2.0)[pose],
+            beams.centre_mm[pose],
+            (beams.ends_mm[:, 1] - beams.ends_mm[:, 0])[pose] / 2.0,
             poses.centre_mm[pose, solid],
             poses.rod_mm[pose, solid],
         )
-        near = around < solids.rod_radius_mm[solid] + max(disc.radius_mm, sample_mm)
+        near = around < solids.rod_radius_mm[solid] + beams.radii_mm.max()
         pose, solid = pose[near], solid[near]
         if pose.size:
-            ends = np.stack([foot, disc.centre_mm], axis=1)
-            normals = np.stack([normal, disc.normal], axis=1)
-            beams = Beams(ends[pose], normals[pose], np.array([sample_mm, disc.radius_mm]))
+            beams = Beams(beams.ends_mm[pose], beams.normals[pose], beams.radii_mm)
             enough = np.full(pose.size, _TOUCH_MM)
             answer = distances(beams, solids.batch(poses, pose, solid), Question(enough, enough))
             hit = answer.lower_mm < _TOUCH_MM
             met[pose[hit]] = solid[hit]
         return met
 
-    def _in_view(
-        self, camera_turn: FloatArray, lamp: FloatArray, camera: FloatArray, to_lamp: FloatArray
-    ) -> BoolArray:
+    def _in_view(self, camera_turn: FloatArray, lamp: _Disc, pupil: _Disc) -> BoolArray:
         """Whether some of the lit disc is in the camera's frame, and the disc faces the camera."""
-        seen = np.einsum("kji,kj->ki", camera_turn @ CAMERA_AT_ZERO, lamp - camera)
+        away = lamp.centre_mm - pupil.centre_mm
+        seen = np.einsum("kji,kj->ki", camera_turn @ CAMERA_AT_ZERO, away)
         ahead = seen[:, 2] > 0.0
         depth = np.where(ahead, seen[:, 2], 1.0)[:, None]
-        slopes, spread = seen[:, :2] / depth, self._rig.lamp.diameter_mm / 2.0 / depth
+        slopes, spread = seen[:, :2] / depth, lamp.radius_mm / depth
         low, high = self._field
         inside = np.all((slopes >= low - spread) & (slopes <= high + spread), axis=1)
-        faces = np.sum((camera - lamp) * to_lamp, axis=1) < 0.0
+        faces = np.sum(away * lamp.normal, axis=1) > 0.0
         return np.asarray(ahead & inside & faces)

@@ -1,9 +1,10 @@
-"""The machine: look it over, move it, park it, stop it.
+"""The machine: look it over, move it, park it, stop it, draw it.
 
 check  who answers on which port, expected against found; nothing moves, the light goes off
 move   joints to angles in degrees (JOINT=DEGREES ...), the others stay; --station turns the wheel
 park   light off, every arm to its park_deg; --others leaves alone those that report an error
 stop   light off and arms stopped, whoever runs the machine
+show   a drawing (PNG) of its solids at a pose, with light, line of sight and the nearest pair; nothing moves
 """
 
 from __future__ import annotations
@@ -55,18 +56,30 @@ def load_rig_options(options: argparse.Namespace) -> Rig:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="check|move|park|stop")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="check|move|park|stop|show")
     helps = {
         "check": "who answers, expected against found",
         "move": "joints to angles",
         "park": "light off, arms to their park angles",
         "stop": "light off, arms stopped, whoever runs the machine",
+        "show": "a drawing of the machine at a pose; nothing moves",
     }
     for name, text in helps.items():
         action = actions.add_parser(name, help=text, description=text)
         if name == "move":
             action.add_argument("angles", nargs="*", metavar="JOINT=DEGREES", help="where joints go")
             action.add_argument("--station", metavar="NAME", help="what the wheel brings to the centre")
+        if name == "show":
+            action.add_argument(
+                "--pose",
+                nargs="+",
+                default=[],
+                metavar="JOINT=DEGREES",
+                help="where joints are; the others, and by default all, are parked",
+            )
+            action.add_argument(
+                "--out", type=Path, default=Path("machine.png"), metavar="FILE", help="default: machine.png"
+            )
         if name == "park":
             action.add_argument(
                 "--others", action="store_true", help="leave alone servos that report an error or are silent"
@@ -83,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
         "move": _move,
         "park": _park,
         "stop": _stop,
+        "show": _show,
     }
     return actions[options.action](rig, options)
 
@@ -197,6 +211,37 @@ def _tell(rig: Rig, report: StopReport, what: str, done: str, *, json: bool) -> 
     if unsure:
         say(f"gonio rig: {rig.name}: {unsure} not proved {done}; look, and cut the power by hand if in doubt")
     return EXIT_BY_STOP[report.outcome.value]
+
+
+def _show(rig: Rig, options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from capture.feasible import Obstacles
+    from gonio.machine_drawing import Drawn, draw_machine
+    from rig.files import whole_file
+    from rig.kinematics import Kinematics
+
+    wanted = _parse_angles(rig, options.pose)
+    kinematics = Kinematics(rig)
+    angles = np.array([wanted.get(joint.name, math.radians(joint.park_deg)) for joint in rig.arm_joints])
+    kinematics.require_limits(angles)
+    obstacles = Obstacles(rig)
+    nearest, obstacle = obstacles.clearance.nearest(angles), obstacles.at(angles[None])[0]
+    beams = obstacles.shadows.beams(angles[None])
+    title = ", ".join(
+        f"{joint.name} {math.degrees(angle):.1f}" for joint, angle in zip(rig.arm_joints, angles, strict=True)
+    )
+    with whole_file(options.out) as file:
+        draw_machine(rig, angles, Drawn(f"{rig.name}: {title} deg", beams, nearest), file)
+    if options.json:
+        found = None if nearest is None else {"solids": nearest.solids, "distance_mm": nearest.distance_mm}
+        print_json({"out": str(options.out), "nearest": found, "obstacle": obstacle and obstacle[1]})
+        return 0
+    apart = "no solids that move past each other"
+    if nearest is not None:
+        apart = f"nearest are {' and '.join(nearest.solids)}, {nearest.distance_mm:.1f} mm"
+    print(f"{options.out}: {apart}{'' if obstacle is None else f'; refused or marked: {obstacle[1]}'}")
+    return 0
 
 
 def _parse_angles(rig: Rig, arguments: list[str]) -> dict[str, float]:
