@@ -32,6 +32,10 @@ SignedTheta = Annotated[float, Field(ge=-90.0, le=90.0)]
 Phi = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
+ADDED_FIELDS: dict[str, tuple[str, ...]] = {"plan": ("spoiled",), "exposure": ("spare",)}
+"""Fields younger than the format: with their default they leave the hash of a plan as it was."""
+
+
 class Grid(Part):
     """Every combination of the angles."""
 
@@ -146,6 +150,9 @@ class Exposure(Part):
     snr: float = Field(30.0, gt=0, le=1e4, description="signal-to-noise ratio of one pixel in the dim part")
     first_s: float = Field(0.02, ge=1e-5, le=600, description="the very first exposure of a pass, seconds")
     max_frames: int = Field(4, ge=1, le=16, description="frames for one pose at most")
+    spare: Literal["frames", "time"] = Field(
+        "frames", description="what a bracket spares: the number of its frames, or the time they take"
+    )
 
 
 class Darks(Part):
@@ -179,6 +186,10 @@ class Plan(Part):
     def hash(self) -> str:
         """SHA-256 (hex) of the content, blind to the file's layout, key order and comments."""
         content = self.model_dump(mode="json")
+        for part, names in ADDED_FIELDS.items():
+            given = content[part]
+            defaults = type(getattr(self, part)).model_fields
+            content[part] = {k: v for k, v in given.items() if k not in names or v != defaults[k].default}
         return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def directions(self) -> tuple[FloatArray, FloatArray, int]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from capture.acquire import Acquisition
+from capture.bracketing import Objective
 from capture.creation import create_session, require_free
 from capture.documents import DocumentLog, SafeWait, make_engine
 from capture.examine import Examiner
@@ -291,7 +292,7 @@ class _Run:
             examiner=self.examiner,
             chooser=Chooser(
                 Shutter.of(self.rig),
-                Target(asked.snr, asked.first_s, asked.max_frames),
+                Target(asked.snr, asked.first_s, asked.max_frames, Objective(asked.spare)),
                 Noise.of(self._sensor),
             ),
             plan_hash=self.plan.hash,
