@@ -22,10 +22,10 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         "Error against light",
         "Many pixels see the same light in four exposures of a 14-bit sensor (0.4 DN per electron, 3 DN of "
         "read noise). Efficiency is the variance of the best estimate from the samples that the merge "
-        "admits, with the weights that its ramp towards the clip level gives them, over the variance found. What the "
-        "ramp costs is the dotted line: the bound of all samples that are not clipped. The Poisson estimate "
-        "needs no sensor model and loses where read noise rules. Its variance takes the gain from the "
-        "scatter of the frames of one scene.",
+        "admits, with the weights that its ramp towards the clip level gives them, over the variance found. "
+        "What the ramp costs is the dotted line: the bound of all samples that are not clipped. The Poisson "
+        "estimate needs no sensor model and loses where read noise rules. Its variance takes the gain from "
+        "the scatter of the frames of one scene.",
         ("merge.png", "Efficiency, bias and stated over true sigma against light"),
     ),
     "imaging_ratios": (
@@ -37,8 +37,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     "imaging_flea3": (
         "A real camera",
         "Flea3, seven exposures, darks of the day: samples of 60 to 240 DN (of 255) against the merge. "
-        "Pixels beside clipped ones read low on this CCD: such samples are left out, and the figure shows what they "
-        "would have done to the merge.",
+        "Pixels beside clipped ones read low on this CCD: such samples are left out, and the figure shows "
+        "what they would have done to the merge.",
         ("flea3.png", "550 nm: merge with samples beside clipped green against that without"),
     ),
     "imaging_peers": (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.agreement import Agreement, agreement
+from capture.bracket_checks import refuse_all_clipped, refuse_foreign_darks, refuse_light_in_darks
 from capture.clip import clip_levels
 from capture.dark import DarkModel, black_cell, subtrahend
 from capture.frames import as_stack, thinning
@@ -167,7 +168,8 @@ def merge_bracket(
     Raises
     ------
     BadInput
-        Files or times that cannot be used.
+        Files or times that cannot be used, darks of another camera or with light in them, or frames that are
+        clipped everywhere.
     """
     if times not in TIMES:
         raise BadInput(f"times is {times!r}", todo=f"give one of {', '.join(TIMES)}")
@@ -180,7 +182,11 @@ def merge_bracket(
     dark, dark_sources = None, list[str]()
     if dark_files:
         dark_frames, dark_times, dark_sources = timed_frames(dark_files)
+        refuse_foreign_darks(frames, dark_frames)
         dark = DarkModel.from_frames(dark_frames, dark_times)
+        refuse_light_in_darks(
+            dark, stack, [replace(f, exposure_s=s) for f, s in zip(dark_frames, dark_times, strict=True)]
+        )
     levels = subtrahend(dark, stack, sensor)
     clip = clip_levels(stack.thinned(thinning(stack.shape, _CLIP_PIXELS)), black_cell(levels), sensor)
     ratios = measure_ratios(stack, levels, clip)
@@ -189,6 +195,7 @@ def merge_bracket(
     if fitted:
         stack = replace(stack, exposure_s=fit.exposure_s)
     merged = merge_stack(stack, levels, sensor)
+    refuse_all_clipped(merged, stack)
     return BracketMerge(
         frames=tuple(frames),
         nominal_s=tuple(seconds),

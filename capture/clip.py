@@ -123,6 +123,11 @@ def _measured_level(stack: Stack, row: int, col: int, black_dn: float) -> float 
         brighter = float(np.median(predicted)) > _BRIGHTER * (level - black_dn)
         if brighter or (level == top and level in _NATURAL_LIMITS):
             found.append(level - 4.0 * spread)
+    # The shortest frame has none to compare with: only a spike where converters end is believed.
+    samples = frames[int(order[0])][row::2, col::2]
+    alone = single_frame_clip(samples, black_dn) if np.issubdtype(samples.dtype, np.integer) else None
+    if alone is not None and alone in _NATURAL_LIMITS:
+        found.append(alone)
     return min(found) if found else None
 
 
