@@ -200,6 +200,24 @@ def test_halt_ends_an_exposure_within_a_tenth_of_a_second(lamp_bench: Callable[.
     assert not bench.light
 
 
+def test_the_light_goes_off_before_anybody_has_his_say(
+    bench: Any, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a stop that waits for its turn on the line while the light burns."""
+    monkeypatch.setattr("rig.lamp.LOCK_S", 60.0)
+    lamp.on()
+    bench.heard.clear()
+    with lamp._line.lock:
+        stopper = threading.Thread(target=lamp.halt)
+        stopper.start()
+        deadline = time.monotonic() + 10.0
+        while "OUTP OFF" not in bench.lines:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    stopper.join(10.0)
+    assert not bench.light
+
+
 def test_halt_speaks_over_a_stuck_talker(bench: Any, lamp: Lamp) -> None:
     """Catches a stop that waits for ever behind a thread that waits for an answer."""
     lamp.on()

@@ -14,7 +14,7 @@ from capture.raw import inspect_frame
 from rig.control_table import CONTROL_TABLE
 from rig.description import load_rig
 from rig.devices import ArmsDevice, CameraDevice, PoseGoal, Shot, Status
-from rig.errors import BadInput, DeviceLost, GonioError, Refused
+from rig.errors import BadInput, DeviceLost, GonioError, Refused, Unsafe
 from rig.machine import Machine, open_machine
 from rig.stop_report import StopOutcome
 from simulator.twin import Twin
@@ -140,6 +140,19 @@ def test_a_stop_from_another_thread_ends_a_move(slow_twin: Twin) -> None:
         with pytest.raises(Refused, match="stopped"):
             machine.shoot("after", 0.01)
     assert_stopped_light_first(slow_twin, since)
+
+
+def test_a_condemned_machine_says_why(shared_twin: Twin, shared_rig: Rig) -> None:
+    """Catches an open door that a run tells as "the machine was stopped", with the wrong exit code."""
+    with open_machine(shared_rig) as machine:
+        machine.lamp.on()
+        since = time.monotonic()
+        machine.condemn(Unsafe("the interlock is open", where="test"))
+        machine.condemn(DeviceLost("and then this", where="test"))
+        for _ in range(2):
+            with pytest.raises(Unsafe, match="interlock is open"):
+                machine.move([0.2, 0.0, 0.5, 0.0])
+    assert_stopped_light_first(shared_twin, since)
 
 
 def test_a_lamp_that_breaks_down_does_not_keep_the_arms_from_stopping(

@@ -82,6 +82,16 @@ def test_a_missing_servo_is_missing_not_zero(wire: Wire) -> None:
     assert POSITION.decode(replies[3].data) == 2048
 
 
+def test_a_servo_that_falls_silent_is_missing_too(bench: Any, wire: Wire) -> None:
+    """Catches 0 for a servo that had answered before, and the others' replies left for the next request."""
+    everybody = set(wire.sync_read([1, 2, 3], POSITION.address, POSITION.size))
+    assert everybody == {1, 2, 3}
+    bench.line.servos = tuple(servo for servo in bench.line.servos if servo.servo_id != 2)
+    for _ in range(2):
+        replies = wire.sync_read([1, 2, 3], POSITION.address, POSITION.size)
+        assert {i: POSITION.decode(reply.data) for i, reply in replies.items()} == {1: 2048, 3: 2048}
+
+
 def test_an_alert_fails_nothing(bench: Any, wire: Wire) -> None:
     """Catches an overloaded servo that can neither be read nor switched off."""
     bench.servos[2].fail(HardwareError.OVERLOAD, time.monotonic())
