@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -26,7 +25,7 @@ from rig.stop_report import StopOutcome, StopReport
 from simulator.packets import Packet, PacketReader
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from simulator.twin import Twin
 
@@ -85,9 +84,6 @@ class Stop:
     known: float
     end: float
     confirmed: bool
-
-
-Cause = Callable[["Scene"], Stop]
 
 
 class Scene:
