@@ -89,10 +89,12 @@ class _Buffers(NamedTuple):
 class _Frames(NamedTuple):
     """The frames that enter a block, one row each.
 
-    `signal` is x, later the rate above the first estimate; `weight` is w, None where all are 1; the columns
-    `exposure_s` and `phi` hold t and floor / t; `number` is how many samples count at each pixel, or at all.
+    The first `whole` have no weights; `weight` is w of the others, None where there are none. `signal` is x,
+    later the rate above the first estimate; the columns `exposure_s` and `phi` hold t and floor / t; `number`
+    is how many samples count at each pixel, or at all.
     """
 
+    whole: int
     signal: Any
     weight: Any
     factor: Any
@@ -198,25 +200,24 @@ class BlockMerger:
             rows -= 1
         if rows and (not near.size or near[0] >= rows):
             self._subtract(levels, rows, buffers, shape)
-            return self._frames(rows, None, rows, buffers)
-        rows = max(rows, self._shortest)
-        weights = buffers.weight[:rows]
-        for row in range(rows):
+            return self._frames(rows, rows, rows, buffers)
+        rows, whole = max(rows, self._shortest), int(near[0])
+        for row in range(whole, rows):
+            weight = buffers.weight[row].reshape(shape)
+            ramp.weights(buffers.signal[row].reshape(shape), out=weight)
             if row in near:
-                weight = weights[row].reshape(shape)
-                ramp.weights(buffers.signal[row].reshape(shape), out=weight)
                 self._reject_neighbours(buffers.signal[row].reshape(shape), weight, flags)
-            else:
-                weights[row] = 1.0
         self._subtract(levels, rows, buffers, shape)
         if (flags & np.uint8(Flag.NEIGHBOUR_CLIPPED)).any():
-            self._readmit(counts[:rows], weights, buffers.signal, flags)
+            self._readmit(counts[:rows], whole, buffers, flags)
+        weights = buffers.weight[whole:rows]
         number = np.add.reduce((weights > 0.0).view(np.uint8), axis=0, dtype=self._number)
-        lost = number == 0
+        number += self._number.type(whole)
+        lost = number == 0  # then no frame is whole
         if lost.any():
             flags |= _bits(lost.reshape(shape), Flag.OVER_RANGE)
             weights[: self._shortest, lost] = 1.0  # the shortest exposures' value is a lower bound
-        return self._frames(rows, weights, number, buffers)
+        return self._frames(rows, whole, number, buffers)
 
     def _subtract(
         self, levels: Sequence[NDArray[Any]], rows: int, buffers: _Buffers, shape: tuple[int, ...]
@@ -229,10 +230,11 @@ class BlockMerger:
             part = signal.reshape(shape)
             part -= level
 
-    def _frames(self, rows: int, weight: Any, number: Any, buffers: _Buffers) -> _Frames:
+    def _frames(self, rows: int, whole: int, number: Any, buffers: _Buffers) -> _Frames:
         return _Frames(
+            whole=whole,
             signal=buffers.signal[:rows],
-            weight=weight,
+            weight=buffers.weight[whole:rows] if whole < rows else None,
             factor=buffers.factor[:rows],
             exposure_s=self._exposure_s[:rows],
             phi=self._phi[:rows],
@@ -247,22 +249,23 @@ class BlockMerger:
             weight *= ~near
 
     def _readmit(
-        self, counts: Sequence[NDArray[Any]], weights: Any, signals: Any, flags: NDArray[np.uint8]
+        self, counts: Sequence[NDArray[Any]], whole: int, buffers: _Buffers, flags: NDArray[np.uint8]
     ) -> None:
         """Take samples beside clipped ones back where the others alone tell less than these may be wrong."""
         places = np.flatnonzero(flags & np.uint8(Flag.NEIGHBOUR_CLIPPED))
         rows = len(counts)
-        weight = weights[:, places].astype(np.float64)
-        signal = np.maximum((weight * signals[:rows, places]).sum(axis=0), 0.0)
+        weight = np.ones((rows, places.size))
+        weight[whole:] = buffers.weight[whole:rows, places]
+        signal = np.maximum((weight * buffers.signal[:rows, places]).sum(axis=0), 0.0)
         floor = np.array(self._rules.floor_dn2[:rows]) @ weight
         places = places[signal**2 * SUSPECT_ERROR**2 <= self._rules.gain_dn_per_e * signal + floor]
         if not places.size:
             return
         at = np.unravel_index(places, flags.shape)
         flags[at] |= np.uint8(Flag.NEAR_CLIPPED_USED)
-        for row, frame in enumerate(counts):
-            own = self._ramp.weights(frame.astype(weights.dtype))
-            weights[row, places] = own[at]
+        for row in range(whole, rows):
+            own = self._ramp.weights(counts[row].astype(buffers.weight.dtype))
+            buffers.weight[row, places] = own[at]
 
     def _shot(self, radiance: Any, rate: NDArray[Any], out: Any) -> None:
         """Variance per second of exposure: gain times signal, never negative."""
@@ -276,19 +279,21 @@ class BlockMerger:
     def _poisson_variance(self, frames: _Frames, shot: Any, total: Any, out: Any) -> None:
         """Sum of w^2 v over the squared sum of w t."""
         exposure_s, floor = frames.exposure_s[:, 0], frames.phi[:, 0] * frames.exposure_s[:, 0]
+        whole = frames.whole
         if frames.weight is None:
             np.multiply(shot, 1.0 / exposure_s.sum(), out=out)
             out += floor.sum() / exposure_s.sum() ** 2
-            spread: Any = exposure_s.size
-        else:
-            square = np.multiply(frames.weight, frames.weight, out=frames.factor)
-            np.einsum("i,ij->j", exposure_s, square, out=out)
-            out *= shot
-            out += np.einsum("i,ij->j", floor, square)
-            out /= total
-            out /= total
-            spread = np.add.reduce(frames.weight, axis=0)
-        self._add_lever(spread / (exposure_s.sum() if frames.weight is None else total), out)
+            self._add_lever(exposure_s.size / exposure_s.sum(), out)
+            return
+        square = np.multiply(frames.weight, frames.weight, out=frames.factor[whole:])
+        np.einsum("i,ij->j", exposure_s[whole:], square, out=out)
+        out += exposure_s[:whole].sum()
+        out *= shot
+        out += np.einsum("i,ij->j", floor[whole:], square)
+        out += floor[:whole].sum()
+        out /= total
+        out /= total
+        self._add_lever((np.add.reduce(frames.weight, axis=0) + whole) / total, out)
 
     def _add_common(self, frames: _Frames, total: Any, part: Any, out: Any) -> None:
         if any(self._rules.common_dn2):
@@ -336,8 +341,12 @@ def _first_estimate(frames: _Frames, radiance: Any, total: Any) -> None:
         np.add.reduce(frames.signal, axis=0, out=radiance)
         radiance *= 1.0 / exposure_s.sum()
         return
-    np.einsum("ij,ij->j", frames.weight, frames.signal, out=radiance)
-    np.einsum("i,ij->j", exposure_s, frames.weight, out=total)
+    whole = frames.whole
+    np.einsum("ij,ij->j", frames.weight, frames.signal[whole:], out=radiance)
+    np.einsum("i,ij->j", exposure_s[whole:], frames.weight, out=total)
+    if whole:
+        radiance += np.add.reduce(frames.signal[:whole], axis=0)
+        total += exposure_s[:whole].sum()
     radiance /= total
 
 
@@ -346,7 +355,8 @@ def _weigh(frames: _Frames, shot: Any) -> None:
     np.add(shot, frames.phi, out=frames.factor)
     np.divide(frames.exposure_s, frames.factor, out=frames.factor)
     if frames.weight is not None:
-        np.multiply(frames.factor, frames.weight, out=frames.factor)
+        weighed = frames.factor[frames.whole :]
+        weighed *= frames.weight
 
 
 def _weighted_variance(frames: _Frames, total: Any, out: Any) -> None:
@@ -354,7 +364,8 @@ def _weighted_variance(frames: _Frames, total: Any, out: Any) -> None:
     if frames.weight is None:
         np.reciprocal(total, out=out)
         return
-    np.einsum("ij,ij->j", frames.factor, frames.weight, out=out)
+    np.einsum("ij,ij->j", frames.factor[frames.whole :], frames.weight, out=out)
+    out += np.add.reduce(frames.factor[: frames.whole], axis=0)
     out /= total
     out /= total
 
