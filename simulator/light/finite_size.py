@@ -23,6 +23,8 @@ Pose = tuple[float, ...]
 
 _ROWS = 6
 """Rows and columns of pixels, of the whole frame, that are looked at."""
+_CAUTION = 1.1
+"""For pixels between those that are looked at, and towards the frame's rim."""
 _GAUSS = 1.0 / np.sqrt(12.0)
 _FOOTPRINT = ((0.0, 0.0), *((v, u) for v in (-_GAUSS, _GAUSS) for u in (-_GAUSS, _GAUSS)))
 """A pixel's centre, and Gauss's four nodes of its footprint: (down, right)."""
@@ -120,24 +122,28 @@ def _errors(
         np.repeat(place[:, None], len(_FOOTPRINT) + 8, axis=1) for place in (look.camera_mm, look.light_mm)
     )
     cameras[:, 5:9], lamps[:, 9:] = pupil, lamp
+    eye = look.camera_mm[:, None, None]
+    points[:, 5:9] = out_of_focus(
+        centre, eye, -unit(eye), pupil[:, :, None] - eye, extents_of(scene.rig).focus_mm
+    )
     seen = np.broadcast_to(look.seen[:, None], points.shape[:3])
     cameras, lamps = (np.broadcast_to(place[:, :, None], points.shape)[seen] for place in (cameras, lamps))
     found = np.zeros(points.shape)
     found[seen] = _radiance(scene, reflectance, points[seen], cameras, lamps)
     if scene.lamp_cosine:
         facing = look.light_mm / np.linalg.norm(look.light_mm, axis=-1, keepdims=True)
-        way = look.light_mm[:, None] - centre[:, 0]
-        along = np.einsum("pni,pi->pn", way, facing) / np.linalg.norm(way, axis=-1)
+        way = lamp[:, :, None] - centre
+        along = np.einsum("pkni,pi->pkn", way, facing) / np.linalg.norm(way, axis=-1)
         # A disc's irradiance falls short of a point's by the second factor: it is made up for.
         made_up = 1.0 + scene.lamp_radius_mm**2 / np.sum(look.light_mm**2, axis=-1)
-        found[:, 9:] *= (made_up[:, None] * along)[:, None, :, None]
+        found[:, 9:] *= (made_up[:, None, None] * along)[..., None]
     parts = found[:, 1:].reshape(len(poses), 3, 4, *found.shape[2:])
     left_out = parts.mean(axis=2).sum(axis=1) - 3.0 * found[:, 0]
     for pose in np.flatnonzero(~lost):
         seen = look.seen[pose]
         mean = found[pose, 0, seen].mean()
         if mean > 0.0:
-            errors[pose] = np.sqrt(np.mean(left_out[pose, seen] ** 2)) / mean
+            errors[pose] = _CAUTION * np.sqrt(np.mean(left_out[pose, seen] ** 2)) / mean
     return errors
 
 
