@@ -52,8 +52,14 @@ NAMES = {
     "white": "noise of the white",
     "reference": "reflectance of the white",
     "lamp": "drift of the lamp",
+    "linearity": "linearity of the sensor",
 }
-_CLASSES = {"white": Correlation.FRAME, "reference": Correlation.CALIBRATION, "lamp": Correlation.FRAME}
+_CLASSES = {
+    "white": Correlation.FRAME,
+    "reference": Correlation.CALIBRATION,
+    "lamp": Correlation.FRAME,
+    "linearity": Correlation.CALIBRATION,
+}
 
 
 @dataclass(frozen=True, eq=False)

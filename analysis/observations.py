@@ -61,13 +61,13 @@ class Observations:
         return tuple(str(name) for name in self.samples["channel"].to_numpy())
 
     def total(self, poses: list[uncertainty.SharedError]) -> Array | None:
-        """Return each datum's uncertainty (N, C) for the weights: all but the one error that all data share.
+        """Return each datum's uncertainty (N, C) for the weights: all but the errors that all data share.
 
         `poses` are the errors of the joints; None where the samples state no uncertainty.
         """
         if not self.stated:
             return None
-        shared = [e.column for e in uncertainty.shared_in_f(self.samples) if e.name != "reference"]
+        shared = [e.column for e in uncertainty.shared_in_f(self.samples) if e.name not in uncertainty.COMMON]
         columns = [uncertainty.independent(self.samples), *shared, *(e.column for e in poses)]
         return uncertainty.quadrature(*columns) + np.zeros_like(self.f_r)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -106,9 +106,14 @@ def reduce_session(
             poses.append(reduced)
             if progress is not None:
                 progress()
-    provenance = images.provenance() | {"white": reference.name}
     return assemble(
-        session.rig, poses, mosaic.names, options=options, source=session.name, provenance=provenance
+        session.rig,
+        poses,
+        mosaic.names,
+        options=options,
+        source=session.name,
+        provenance=images.provenance() | {"white": reference.name},
+        linearity_error=(session.sensor.linearity_error if session.sensor is not None else None),
     )
 
 
@@ -141,6 +146,7 @@ def assemble(
     options: Options,
     source: str = "",
     provenance: Mapping[str, str] | None = None,
+    linearity_error: float | None = None,
 ) -> xr.Dataset:
     """Put the samples of all poses into one table.
 
@@ -158,6 +164,8 @@ def assemble(
         Where they come from.
     provenance : mapping of str to str, optional
         Hashes and versions, recorded as attributes.
+    linearity_error : float, optional
+        Mean relative deviation of the sensor's response from a straight line; None where it is not known.
 
     Raises
     ------
@@ -192,6 +200,7 @@ def assemble(
         u_reference=joined("u_reference"),
         u_binning=joined("u_binning"),
         u_lamp=joined("u_lamp"),
+        u_linearity=None if linearity_error is None else _bent(joined("f_r"), linearity_error),
         white_group=white * bins + joined("bin_index"),
         pose=np.repeat([pose.number for pose in poses], counts),
         d_wi=joined("d_wi"),
@@ -204,6 +213,15 @@ def assemble(
     samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])
     samples.attrs |= dict(provenance or {})
     return samples
+
+
+def _bent(f_r: NDArray[Any], linearity_error: float) -> Float:
+    """Uncertainty of f_r by a response that is not quite straight, 1/sr.
+
+    Sample and white are counted at different levels, each off by its own deviation: sqrt(2) of their standard
+    deviation, which is sqrt(pi / 2) of the mean absolute one where they are normal.
+    """
+    return np.asarray(np.abs(f_r) * linearity_error * math.sqrt(math.pi))
 
 
 def _totals(prefix: str, counts: Sequence[Mapping[str, int]]) -> dict[str, int]:

@@ -15,6 +15,7 @@ u_white         sample, channel    1/sr  one error in each `white_group` and cha
 white_group     sample             1     number of the group
 u_reference     sample, channel    1/sr  one error for the session and all channels: white's rho
 u_lamp          sample, channel    1/sr  one error for each pose and all channels: drift of the light
+u_linearity     sample, channel    1/sr  one error for the session and all channels: bent response
 u_repeatability sample, channel    1/sr  what repeats of the measurement differ by; no weight of fits
 pose            sample             1     number of the pose
 d_wi, d_wo      sample, joint, xyz 1/rad change of the directions per radian of each joint
@@ -61,6 +62,7 @@ UNITS = {
     "u_reference": "1/sr",
     "u_binning": "1/sr",
     "u_lamp": "1/sr",
+    "u_linearity": "1/sr",
     "u_repeatability": "1/sr",
     "white_group": "1",
     "pose": "1",
@@ -260,10 +262,11 @@ def select(
     samples: xr.Dataset,
     *,
     wavelength_nm: Sequence[float] | None = None,
+    channels: Sequence[str] | None = None,
     max_theta_deg: float | None = None,
     where: str = "samples",
 ) -> xr.Dataset:
-    """Narrow samples to wavelengths and to angles of incidence and view.
+    """Narrow samples to channels and to angles of incidence and view.
 
     Parameters
     ----------
@@ -271,6 +274,8 @@ def select(
         Samples.
     wavelength_nm : sequence of float, optional
         Wavelengths to keep, each one of those in the file (to 0.01 nm).
+    channels : sequence of str, optional
+        Names of the channels to keep, in place of wavelengths.
     max_theta_deg : float, optional
         Largest polar angle of light and of camera to keep.
     where : str
@@ -283,11 +288,17 @@ def select(
     Raises
     ------
     BadInput
-        If a wavelength is not there, listing those that are, or if nothing remains.
+        If a wavelength or channel is not there, listing those that are, or if nothing remains.
     """
     from analysis.rejection_transfer import narrowed
 
-    channels = channel_numbers(samples, wavelength_nm, where=where)
+    if channels is not None and wavelength_nm is not None:
+        raise BadInput("chosen by wavelength and by name", where="channels", todo="give one of both")
+    chosen = (
+        channel_numbers(samples, wavelength_nm, where=where)
+        if channels is None
+        else _named_channels(samples, channels, where)
+    )
     keep = np.ones(samples.sizes["sample"], dtype=bool)
     if max_theta_deg is not None:
         lowest = np.cos(np.radians(max_theta_deg)) - 1e-12
@@ -298,9 +309,17 @@ def select(
                 where=where,
                 todo="allow larger angles, 90 at most",
             )
-    if keep.all() and channels == list(range(samples.sizes["channel"])):
+    if keep.all() and chosen == list(range(samples.sizes["channel"])):
         return samples
-    return narrowed(samples, np.flatnonzero(keep).tolist(), channels)
+    return narrowed(samples, np.flatnonzero(keep).tolist(), chosen)
+
+
+def _named_channels(samples: xr.Dataset, wanted: Sequence[str], where: str) -> list[int]:
+    known = [str(name) for name in samples["channel"].to_numpy()]
+    missing = next((name for name in wanted if name not in known), None)
+    if missing is not None:
+        raise BadInput(f"holds no channel {missing}", where=where, todo=f"choose from {', '.join(known)}")
+    return [known.index(name) for name in wanted]
 
 
 def channel_numbers(

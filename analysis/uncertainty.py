@@ -27,8 +27,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 INDEPENDENT = ("u_noise", "u_binning")
-IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp")
+IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp", "u_linearity")
 """Columns in 1/sr: the ones that u_f_r is the quadrature of."""
+
+COMMON = ("reference", "linearity")
+"""Shared errors that all samples have in common: they move a fit as a whole, and weigh no sample down."""
 
 STEP_RAD = 1e-5
 """Step of the central difference along a joint: its error is far below the uncertainty of an uncertainty."""
@@ -79,7 +82,7 @@ def independent(samples: xr.Dataset) -> Array:
 
 
 def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
-    """Shared errors in 1/sr: the white's noise, the reference's reflectance, the lamp's drift at a pose."""
+    """Shared errors in 1/sr: the white's noise and reflectance, bent response, drift of the lamp."""
     errors = []
     count = samples.sizes["sample"]
     if not any(name in samples for name in INDEPENDENT):
@@ -95,6 +98,10 @@ def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
         errors.append(
             SharedError("reference", samples["u_reference"].to_numpy(), everyone, across_channels=True)
         )
+    if "u_linearity" in samples:
+        everyone = np.zeros(count, dtype=np.intp)
+        column = samples["u_linearity"].to_numpy()
+        errors.append(SharedError("linearity", column, everyone, across_channels=True))
     if "u_lamp" in samples and "pose" in samples:
         pose = _dense(samples["pose"].to_numpy())
         errors.append(SharedError("lamp", samples["u_lamp"].to_numpy(), pose, across_channels=True))

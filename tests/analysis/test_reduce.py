@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from analysis.budget import budget
 from analysis.models import MODELS
 from analysis.reduce import reduce_session
 from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
@@ -56,6 +57,8 @@ class Studio:
 
     def __init__(self, rig: Rig, folder: Path) -> None:
         self.rig, self.folder = rig, folder
+        self.flat: np.ndarray | float = 1.0
+        """What lens and sensor make of an even light, (H, W, 1)."""
         self.sensor = Sensor(rig.camera.width_px, rig.camera.height_px, serial="TEST", seed=4)
         self.session = RecordedSession(folder, rig, self.sensor.calibration())
         (folder / "calibration").mkdir(exist_ok=True)
@@ -77,6 +80,7 @@ class Studio:
             geometry = pixel_geometry(self.rig, angles)
             light = irradiance(self.rig, geometry)[..., None]
             radiance = model.evaluate(geometry.wi, geometry.wo) * light * geometry.on_sample[..., None]
+            radiance = radiance * self.flat
         times = EXPOSURES_S if model is not None else (EXPOSURES_S[index],) * 4
         frames = [self._frame(f"{role}-{index}-{n}", radiance, time) for n, time in enumerate(times)]
         record = PoseRecord(
@@ -174,3 +178,41 @@ def test_progress_is_told_of_each_pose(session: RecordedSession) -> None:
     seen: list[int] = []
     reduce_session(session, progress=lambda: seen.append(1))
     assert len(seen) == 3
+
+
+def test_a_bent_response_is_in_the_budget(session: RecordedSession) -> None:
+    """A calibration that found 0.4 % of bending, of which no sample knows."""
+    straight = reduce_session(session)
+    assert session.sensor is not None
+    session.sensor = replace(session.sensor, linearity_error=0.004)
+    bent = reduce_session(session)
+
+    assert "u_linearity" not in straight
+    relative = (bent["u_linearity"] / np.abs(bent["f_r"])).to_numpy()
+    assert np.nanmax(np.abs(relative - 0.004 * np.sqrt(np.pi))) < 1e-12
+    (line,) = [line for line in budget(bent) if line.name == "linearity of the sensor"]
+    assert line.of_session == pytest.approx(0.004 * np.sqrt(np.pi), rel=1e-6)
+    assert bool((bent["u_f_r"] >= straight["u_f_r"]).where(np.isfinite(bent["f_r"]), True).all())
+
+
+def test_a_tilted_flat_field_leaves_no_trace(default_rig: Rig, tmp_path: Path) -> None:
+    """A response that falls by a third across the frame: taken out within 0.1 %, pixel by pixel."""
+    cols = np.linspace(-1.0, 1.0, default_rig.camera.width_px)[np.newaxis, :, np.newaxis]
+    tables = []
+    for name, flat in (("even", 1.0), ("tilted", 0.8 - 0.2 * cols)):
+        (tmp_path / name).mkdir()
+        studio = Studio(default_rig, tmp_path / name)
+        studio.flat = flat
+        studio.shoot("sample", 0, SAMPLE, POSES_DEG[0])
+        studio.shoot("white", 0, WHITE, POSES_DEG[0])
+        for index in range(2):
+            studio.shoot("dark", index, None, POSES_DEG[0])
+        tables.append(reduce_session(studio.session))
+
+    ratio = (tables[1]["f_r"] / tables[0]["f_r"]).mean("channel").to_numpy()
+    across = tables[0]["wo"].to_numpy()
+    across = across[:, int(np.argmax(across.std(axis=0)))]
+    slope, middle = np.polyfit(across - across.mean(), ratio, 1)
+
+    assert middle == pytest.approx(1.0, abs=1e-3)
+    assert abs(slope) * np.ptp(across) < 2e-3
