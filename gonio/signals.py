@@ -66,15 +66,16 @@ class StopRequests:
 
     def __enter__(self) -> StopRequests:
         self._thread.start()
-        handled = {"SIGINT": self._interrupt, "SIGTERM": self._terminate}
-        handled |= {"SIGHUP": self._terminate, "SIGBREAK": self._terminate}  # where the system has them
-        for name, handler in handled.items():
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                self._previous[number] = signal.signal(number, handler)
+        handled = {"SIGINT": self._interrupt, "SIGTERM": self._terminate, "SIGBREAK": self._terminate}
         hang_up = getattr(signal, "SIGHUP", None)
-        if hang_up in self._previous:  # ignored: started by nohup, to outlive whoever started it
+        outlives = hang_up is not None and signal.getsignal(hang_up) is signal.SIG_IGN  # by nohup
+        if not outlives:
+            handled["SIGHUP"] = self._terminate
             threading.Thread(target=self._watch_parent, args=(os.getppid(),), daemon=True).start()
+        for name, handler in handled.items():
+            number = getattr(signal, name, None)  # not every system has all of them
+            if number is not None:
+                self._previous[number] = signal.signal(number, handler)
         return self
 
     def __exit__(

@@ -50,6 +50,17 @@ print(requests.exit_code, flush=True)
 """
 
 
+def test_a_program_in_the_background_hears_ctrl_c() -> None:
+    """Catches SIGINT that stays ignored, as shells have it for what a script starts in the background."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with StopRequests("frame") as requests:
+            signal.raise_signal(signal.SIGINT)
+            assert requests.finish_requested
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_the_end_of_its_parent_stops_a_program(tmp_path: Path) -> None:
     """Catches arms that go on for a script that was killed, and a program that calls that a success."""
     program = tmp_path / "orphan.py"
