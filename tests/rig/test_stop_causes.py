@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from benchmarks.machine_stops import CALM, FAILING, stops
 from gonio.signals import StopRequests
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 CAUSES = {*CALM, *FAILING}
 
