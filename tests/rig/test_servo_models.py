@@ -17,7 +17,7 @@ SPELLED = {
 
 
 def makers_table(model: str) -> dict[str, tuple[int, int]]:
-    """Registers of a model by name, as the maker lists them: address and size."""
+    """Read the registers of a model as the maker lists them: by name, address and size."""
     text = (MAKERS / f"{model.lower().replace('-', '_')}.model").read_text(encoding="utf-8")
     rows = (line.split("\t") for line in text.split("[control table]")[1].strip().splitlines()[1:])
     named = {row[2].strip().lower().replace(" ", "_"): (int(row[0]), int(row[1])) for row in rows}
