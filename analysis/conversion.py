@@ -88,7 +88,7 @@ def convert(samples: xr.Dataset, out: Path, *, to: str = "", fill: bool = False)
             raise Refused(
                 f"{100.0 * loss.filled_part:.2g} % of the grid of {module.NAME} lies where no sample is near",
                 where=str(out),
-                todo="--fill writes guesses there; or measure more, or choose a format of samples",
+                todo="gonio convert --fill writes guesses there; or measure more, or write samples",
             )
         back = [_read_again(module, file, out)]
     return Conversion((out,), module.NAME, back[0].sizes["sample"], _seen(samples, back, loss))

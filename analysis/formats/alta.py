@@ -26,6 +26,7 @@ from rig.angles import from_half_difference, spherical_to_direction
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import xarray as xr
@@ -137,7 +138,7 @@ def _layout(header: dict[str, tuple[str, int]], path: Path) -> tuple[str, str, i
     return coordinates, kind, int(sizes[1]), int(vertical)
 
 
-def _directions(x: Array, coordinates: str, places: list[int], path: Path) -> tuple[Array, Array]:
+def _directions(x: Array, coordinates: str, places: Sequence[int], path: Path) -> tuple[Array, Array]:
     """Return wi and wo; ALTA packs the view before the light, except where a name says otherwise."""
     zero = np.zeros(len(x))
     if coordinates == "CARTESIAN":

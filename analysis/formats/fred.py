@@ -159,13 +159,13 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     if samples.sizes["channel"] != 1:
         raise BadInput(
             f"FRED holds one channel, here are {samples.sizes['channel']}",
-            where=str(path),
-            todo="select one wavelength",
+            where="samples",
+            todo="choose one, by its wavelength or its name",
         )
     value = samples["f_r"].to_numpy()[:, 0]
     usable = np.isfinite(value) & (samples["flags"].to_numpy()[:, 0] == 0)
     if not usable.any():
-        raise BadInput("has no sample to write", where=str(path), todo="check the flags")
+        raise BadInput("none can be written", where="samples", todo="check the flags")
     theta_i, phi_i = direction_to_spherical(samples["wi"].to_numpy()[usable])
     theta_s, phi_s = direction_to_spherical(samples["wo"].to_numpy()[usable])
     table = np.stack(

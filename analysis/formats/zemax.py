@@ -212,8 +212,8 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
     if samples.sizes["channel"] != 1:
         raise BadInput(
             f"Zemax holds one channel, here are {samples.sizes['channel']}",
-            where=str(path),
-            todo="select one wavelength",
+            where="samples",
+            todo="choose one, by its wavelength or its name",
         )
     usable = (samples["flags"].to_numpy()[:, 0] == 0) & np.isfinite(samples["f_r"].to_numpy()[:, 0])
     value = samples["f_r"].to_numpy()[usable, 0]
@@ -227,8 +227,8 @@ def write(samples: xr.Dataset, path: Path) -> Loss:
         chosen = np.abs(np.degrees(theta_i) - incidence) <= SAME_ANGLE_DEG
         if np.count_nonzero(chosen) < 4:
             raise BadInput(
-                f"has fewer than 4 samples at incidence {incidence:g} deg",
-                where=str(path),
+                f"fewer than 4 are at incidence {incidence:g} deg",
+                where="samples",
                 todo="leave that incidence out or measure on a grid",
             )
         place = _placed if own else _resampled

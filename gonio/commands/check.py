@@ -177,9 +177,9 @@ def _conventions(options: argparse.Namespace) -> int:
 
 def _reread(options: argparse.Namespace) -> int:
     """Write the samples of one file under a reading."""
+    from analysis.conversion import convert
     from analysis.doctor import declared_table, reread
     from analysis.doctor_readings import reading_of
-    from analysis.samples import write
 
     reading, out = reading_of(options.reading), Path(options.out)
     require_place(out, options)
@@ -187,7 +187,7 @@ def _reread(options: argparse.Namespace) -> int:
     doubts = caution(options.files[0], table.attributes)
     samples = reread(table, reading)
     left_out = samples.attrs["reading_left_out"]
-    loss = write(keep_rejections(samples, out, options), out)
+    loss = convert(keep_rejections(samples, out, options), out).loss
     if options.json:
         found = {"samples": samples.sizes["sample"], "left_out": left_out, "doubts": doubts}
         print_json({"out": options.out, "reading": reading.name, **found})

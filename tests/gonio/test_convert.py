@@ -155,3 +155,36 @@ def test_options_of_formats_are_the_same_everywhere(folder, capsys, command):
     assert main([*command, "--material", "c"]) == 2
     assert main([*command, "--material", "a", "--side", "back"]) == 2
     assert "side means nothing to in-plane table" in capsys.readouterr().err
+
+
+def test_a_reading_that_a_person_names(folder, capsys):
+    """Catches a reading that is not applied, not recorded, or applied without being told."""
+    told = _json(capsys, "paint.nc", "as-is.nc")
+    assert "reading" not in read(folder / "as-is.nc").attrs
+    told = _json(capsys, "paint.nc", "cured.nc", "--reading", "cosine-of-view")
+    assert told["written"] == 144
+    before, after = read(folder / "paint.nc"), read(folder / "cured.nc")
+    np.testing.assert_allclose(after["f_r"] * after["wo"][:, 2:].to_numpy(), before["f_r"], rtol=1e-12)
+    assert after.attrs["reading"] == "cosine-of-view"
+    told = _json(capsys, "paint.nc", "tilted.nc", "--reading", "specular-relative")
+    lost = 144 - told["samples"]
+    assert lost > 0
+    assert f"{lost} samples below the horizon under specular-relative" in told["loss"]["dropped"]
+    assert main(["convert", "paint.nc", "a.nc", "--reading", "upside-down"]) == 2
+    assert "unknown reading 'upside-down'" in capsys.readouterr().err
+
+
+def test_one_channel_of_colours(folder, capsys):
+    """Catches colours without wavelengths that cannot go into a format of one channel."""
+    grey = _samples()
+    colours = make_samples(
+        grey["wi"], grey["wo"], np.repeat(grey["f_r"].to_numpy(), 3, axis=1) * [1.0, 2.0, 3.0], channels="RGB"
+    )
+    write(colours, folder / "rgb.nc")
+    assert main(["convert", "rgb.nc", "g.fred.txt"]) == 2
+    assert "samples: FRED holds one channel, here are 3" in capsys.readouterr().err
+    _json(capsys, "rgb.nc", "g.fred.txt", "--channel", "G")
+    back = np.sort(read(folder / "g.fred.txt")["f_r"].to_numpy()[:, 0])
+    np.testing.assert_allclose(back, np.sort(2.0 * grey["f_r"].to_numpy()[:, 0]), rtol=1e-6)
+    assert main(["convert", "rgb.nc", "q.fred.txt", "--channel", "Q"]) == 2
+    assert "rgb.nc: holds no channel Q; choose from R, G, B" in capsys.readouterr().err
