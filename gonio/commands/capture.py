@@ -10,25 +10,24 @@ are listed with their reasons (exit code 4); resuming tries them again.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import Progress, add_json_option, print_json, say
+from gonio.mounting import add_mounted_option, machine_wishes, mounted_roles
+from gonio.output import add_json_option, print_json, say
 from rig.errors import BadInput, GonioError, Refused, Transient
 
 if TYPE_CHECKING:
     import argparse
 
     from capture.wishes import CaptureResult, Wishes
-    from gonio.signals import StopRequests
 
 EXAMPLE = (
     "gonio capture plan.toml --rig rig.toml --out brass    then, if interrupted: gonio capture --resume brass"
 )
 
-POLL_S = 0.1
-"""How often a question looks whether Ctrl-C has answered it."""
+ROLES = ("white", "sample")
+"""What a person may have to mount."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -46,12 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="with --resume: by how much the light of a reference pose may have changed (default: rig file)",
     )
-    parser.add_argument(
-        "--mounted",
-        default="",
-        metavar="white,sample",
-        help="on a machine without a wheel: what need not be asked for",
-    )
+    add_mounted_option(parser, ROLES)
     add_json_option(parser)
 
 
@@ -59,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """Capture: 0 when all is recorded, 4 with poses missing; 130 after Ctrl-C, 143 after SIGTERM."""
     from gonio.signals import StopRequests
 
-    mounted = _mounted(options.mounted)
+    mounted = mounted_roles(options.mounted, ROLES)
     if options.resume is None and (options.plan is None or options.out is None):
         raise BadInput("nothing to do", where="gonio capture", todo=f"for example: {EXAMPLE}")
     if options.resume is not None and options.out is not None:
@@ -69,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         todo = "give a share above 0, together with --resume"
         raise BadInput(f"{tolerance:g} cannot be used", where="--reference-tolerance", todo=todo)
     with StopRequests("frame") as requests:
-        wishes = _wishes(requests, mounted)
+        wishes = machine_wishes(requests, mounted, "capture")
         try:
             result = _capture(options, wishes)
         except GonioError as error:
@@ -104,51 +98,6 @@ def _capture(options: argparse.Namespace, wishes: Wishes) -> CaptureResult:
     rig_file = options.rig or Path("rig.toml")
     rig = load_rig(rig_file, **ports)
     return capture(options.plan, rig, options.out, rig_file=rig_file, wishes=wishes)
-
-
-def _mounted(text: str) -> frozenset[str]:
-    roles = frozenset(part.strip() for part in text.split(",") if part.strip())
-    unknown = roles - {"white", "sample"}
-    if unknown:
-        raise BadInput(
-            f"nothing is called {sorted(unknown)[0]!r}", where="--mounted", todo="name white, sample, or both"
-        )
-    return roles
-
-
-def _wishes(requests: StopRequests, mounted: frozenset[str]) -> Wishes:
-    from capture.wishes import Wishes
-
-    bar: list[Progress] = []
-
-    def progress(done: int, total: int, note: str) -> None:
-        if not bar:
-            bar.append(Progress("capture", total - done + 1))
-        bar[0](1, note)
-
-    return Wishes(
-        controls=requests,
-        mount=(lambda _role, label: _ask(requests, label)) if sys.stdin.isatty() else None,
-        mounted=mounted,
-        progress=progress,
-        say=lambda line: say(f"gonio capture: {line}"),
-    )
-
-
-def _ask(requests: StopRequests, label: str) -> bool:
-    """Ask a person to mount something; False where he presses Ctrl-C or closes the input instead.
-
-    A thread reads the line, because reading it here would keep Ctrl-C waiting for the Enter key.
-    """
-    import threading
-
-    say(f"Mount {label}, then press Enter (Ctrl-C to stop here): ", end="")
-    answer: list[str] = []
-    reader = threading.Thread(target=lambda: answer.append(sys.stdin.readline()), daemon=True)
-    reader.start()
-    while reader.is_alive() and not requests.finish_requested:
-        reader.join(POLL_S)
-    return bool(answer and answer[0]) and not requests.finish_requested
 
 
 def _print_result(result: CaptureResult, *, json: bool) -> None:
