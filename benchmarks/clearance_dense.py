@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from rig.description import Joint, Rig
     from rig.solids import Solid
 
+BALLS = 10
+"""Balls that cover a solid, by which pairs that are far apart are told from others."""
+
 _Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -37,9 +40,12 @@ class DenseClearance:
     """
 
     def __init__(self, rig: Rig, cutoff_mm: float = 50.0) -> None:
-        self._rig, self._cutoff = rig, cutoff_mm
+        self.rig, self._cutoff = rig, cutoff_mm
         self._objects = [fcl.CollisionObject(_shape(solid), fcl.Transform()) for solid in rig.solids]
-        self._radii = np.array([_around(solid) for solid in rig.solids])
+        balls = [_balls(solid) for solid in rig.solids]
+        self._radii = np.array([length / 2.0 + radius for length, radius, _, _ in balls])
+        self._small = np.array([radius for _, _, radius, _ in balls])
+        self._along = np.array([along for _, _, _, along in balls])
         places = [_place(solid) for solid in rig.solids]
         self._turns = Rotation.concatenate([turn for turn, _ in places])
         self._centres = np.array([centre for _, centre in places])
@@ -53,8 +59,15 @@ class DenseClearance:
         first, second = np.array(self.pairs).reshape(-1, 2).T
         between = np.linalg.norm(centres[:, first] - centres[:, second], axis=2)
         near = between - self._radii[first] - self._radii[second] < self._cutoff
-        for pose, pair in zip(*np.nonzero(near), strict=True):
-            least = min(least, self._distance(turns[pose], centres[pose], *self.pairs[pair]))
+        pose, pair = np.nonzero(near)
+        here, there = (
+            centres[pose, solid][:, None] + np.einsum("nij,nbj->nbi", turns[pose, solid], self._along[solid])
+            for solid in (first[pair], second[pair])
+        )
+        between = np.linalg.norm(here[:, :, None] - there[:, None], axis=-1).min(axis=(1, 2))
+        close = between - self._small[first[pair]] - self._small[second[pair]] < self._cutoff
+        for at, which in zip(pose[close], pair[close], strict=True):
+            least = min(least, self._distance(turns[at], centres[at], *self.pairs[which]))
             if least < stop_mm:
                 break
         return least
@@ -66,16 +79,19 @@ class DenseClearance:
 
     def _placed(self, angles_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotations (K, S, 3, 3) and centres (K, S, 3) of all solids."""
-        joints = self._rig.arm_joints
-        turns, centres = [], []
-        for chain, own, centre in zip(self._chains, self._turns, self._centres, strict=True):
-            turn = Rotation.identity(len(angles_rad))
-            for joint in chain:
-                axis = np.array(joints[joint].axis) / np.linalg.norm(joints[joint].axis)
-                turn = turn * Rotation.from_rotvec(angles_rad[:, joint, None] * axis)
-            turns.append((turn * own).as_matrix())
-            centres.append(turn.apply(centre))
+        links = {chain: self._turned(chain, angles_rad) for chain in set(self._chains)}
+        turns = [links[chain] @ own for chain, own in zip(self._chains, self._turns.as_matrix(), strict=True)]
+        centres = [links[chain] @ own for chain, own in zip(self._chains, self._centres, strict=True)]
         return np.stack(turns, axis=1), np.stack(centres, axis=1)
+
+    def _turned(self, chain: tuple[int, ...], angles_rad: FloatArray) -> FloatArray:
+        """Rotations (K, 3, 3) of a link."""
+        joints = self.rig.arm_joints
+        turn = Rotation.identity(len(angles_rad))
+        for joint in chain:
+            axis = np.array(joints[joint].axis) / np.linalg.norm(joints[joint].axis)
+            turn = turn * Rotation.from_rotvec(angles_rad[:, joint, None] * axis)
+        return np.asarray(turn.as_matrix())
 
     def _can_meet(self, first: int, second: int) -> bool:
         """On different links, and not the two sides of one bearing."""
@@ -84,8 +100,8 @@ class DenseClearance:
             return False
         if ways[1][:-1] != ways[0]:
             return True
-        turns, centres = self._placed(np.zeros((1, len(self._rig.arm_joints))))
-        return self._distance(turns[0], centres[0], first, second) >= self._rig.clearance.margin_mm
+        turns, centres = self._placed(np.zeros((1, len(self.rig.arm_joints))))
+        return self._distance(turns[0], centres[0], first, second) >= self.rig.clearance.margin_mm
 
 
 def driven_poses(rig: Rig, start: FloatArray, end: FloatArray, count: int) -> FloatArray:
@@ -123,15 +139,21 @@ def _shape(solid: Solid) -> Any:
             return fcl.Sphere(solid.radius_mm)
 
 
-def _around(solid: Solid) -> float:
-    """Radius of a ball around the solid's centre."""
+def _balls(solid: Solid) -> tuple[float, float, float, FloatArray]:
+    """Length and radius of a rod around a solid, and equal balls around it: radius, centres (BALLS, 3)."""
+    axis = 2
     match solid:
         case Box():
-            return math.hypot(*solid.size_mm) / 2.0
+            axis = int(np.argmax(solid.size_mm))
+            length = solid.size_mm[axis]
+            radius = math.hypot(*np.delete(solid.size_mm, axis)) / 2.0
         case Sphere():
-            return solid.radius_mm
+            length, radius = 0.0, solid.radius_mm
         case _:
-            return math.dist(solid.from_mm, solid.to_mm) / 2.0 + solid.radius_mm
+            length, radius = math.dist(solid.from_mm, solid.to_mm), solid.radius_mm
+    centres = np.zeros((BALLS, 3))
+    centres[:, axis] = length * ((np.arange(BALLS) + 0.5) / BALLS - 0.5)
+    return length, radius, length / (2.0 * BALLS) + radius, centres
 
 
 def _place(solid: Solid) -> tuple[Rotation, FloatArray]:
