@@ -37,6 +37,7 @@ def contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
     yield from _arm_contradictions(rig)
     yield from _station_contradictions(rig)
     yield from _solid_contradictions(rig)
+    yield from _supervision_contradictions(rig)
     camera = rig.camera
     if camera.shortest_exposure_s > camera.longest_exposure_s:
         yield cross_field(
@@ -136,6 +137,18 @@ def _station_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
                 station.angle_deg,
                 f"within the limits of {wheel.name}, {low:g} to {high:g}",
             )
+
+
+def _supervision_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:
+    """Find bands of voltage that no supply could keep; 0 stands for what the model takes."""
+    limits = rig.supervision
+    for joint in rig.joints:
+        least, most = MODELS[joint.model].input_v
+        low, high = limits.voltage_min_v or least, limits.voltage_max_v or most
+        if not low < high:
+            field = "voltage_min_v" if limits.voltage_min_v else "voltage_max_v"
+            allowed = f"a band of voltage for {joint.name}, not {low:g} to {high:g}"
+            yield cross_field(f"supervision.{field}", getattr(limits, field), allowed)
 
 
 def _solid_contradictions(rig: Rig) -> Iterator[PydanticCustomError]:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rig.bus import ServoBus
-from rig.description import Supervision, default_rig
+from rig.description import Supervision, default_rig, dump_rig, load_rig
+from rig.errors import BadInput
 from rig.supervision import Band, ServoLevels, Supervisor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
     from typing import Any
 
     from rig.description import Rig
@@ -92,3 +94,12 @@ def test_a_pause_ends_well_inside_the_band(make: Callable[..., Any]) -> None:
     assert supervisor.breaches([level(68.0, 14.8)], hot) == ()
     narrow = Band("turntable", "voltage", "V", 12.0, 12.1, 0.1)
     assert any(narrow.holds(12.0 + 0.01 * step, calm=True) for step in range(11))
+
+
+@pytest.mark.parametrize("fields", [{"voltage_min_v": 13.0, "voltage_max_v": 12.0}, {"voltage_max_v": 9.0}])
+def test_a_band_that_no_supply_could_keep_is_refused(tmp_path: Path, fields: dict[str, float]) -> None:
+    """Would catch a capture that pauses for ever over a slip in the rig file."""
+    rig = default_rig().model_copy(update={"supervision": Supervision(**fields)})
+    dump_rig(rig, tmp_path / "rig.toml")
+    with pytest.raises(BadInput, match=r"supervision\.voltage_m.*light_elevation"):
+        load_rig(tmp_path / "rig.toml")
