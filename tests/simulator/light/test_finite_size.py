@@ -16,13 +16,13 @@ from simulator.light.pixelwise import PixelwiseLight
 from simulator.light.reflectance import material_reflectance
 from simulator.light.sparse_rules import Levels, product_rule
 
-PLACES = 10
+PLACES = 8
 
 
 def test_the_estimate_is_the_error(scalar: Any) -> None:
     """Would catch a factor of the lamp's disc forgotten: a method taken for right that is not."""
     ratios = []
-    for drawn in draw_scenes(scalar, 24, 61):
+    for drawn in draw_scenes(scalar, 14, 61):
         scene, pose = drawn.scene, np.asarray(drawn.pose)
         reflectance = material_reflectance(scalar, scene.material)
         extents, lens = extents_of(scene.rig), lens_of(scene.rig)
@@ -37,7 +37,7 @@ def test_the_estimate_is_the_error(scalar: Any) -> None:
         points = PixelwiseLight(scene.rig, reflectance).radiance(drawn.pose).reshape(-1, 3)[pixels]
         error = np.sqrt(np.mean((points - truth) ** 2)) / truth.mean()
         ratios.append(point_errors(scene, reflectance, [drawn.pose])[0] / error)
-    assert len(ratios) > 12
+    assert len(ratios) > 8
     assert min(ratios) > 0.9
     # Where lobes are narrow, four nodes say too much.
     assert np.median(ratios) < 1.2
