@@ -38,7 +38,8 @@ def _by_session(folder, monkeypatch, samples):
     from capture.session import Session
 
     camera = SimpleNamespace(width_px=96, height_px=64)
-    session = SimpleNamespace(rig=SimpleNamespace(camera=camera), poses=lambda _: [])
+    rig = SimpleNamespace(camera=camera)
+    session = SimpleNamespace(rig=rig, poses=lambda _: [], edited_files=list)
     monkeypatch.setattr(Session, "open", lambda _: nullcontext(session))
     numbered = samples.assign(pose=("sample", np.zeros(samples.sizes["sample"], dtype=int)))
     monkeypatch.setattr("analysis.reduce.reduce_session", lambda *_, **__: numbered)
