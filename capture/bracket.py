@@ -145,6 +145,7 @@ def merge_bracket(
     sensor: SensorModel | None = None,
     exposure_s: Sequence[float] | None = None,
     times: str = "auto",
+    chi_square: bool = False,
 ) -> BracketMerge:
     """Merge the files of one bracket.
 
@@ -160,6 +161,8 @@ def merge_bracket(
         Exposure times of `files`, where the files carry none or wrong ones.
     times : str
         One of `TIMES`.
+    chi_square : bool
+        Whether to return the map of how well the frames agree.
 
     Returns
     -------
@@ -194,7 +197,7 @@ def merge_bracket(
     fitted = times == "fitted" or (times == "auto" and fit.significant)
     if fitted:
         stack = replace(stack, exposure_s=fit.exposure_s)
-    merged = merge_stack(stack, levels, sensor)
+    merged = merge_stack(stack, levels, sensor, chi_square=chi_square)
     refuse_all_clipped(merged, stack)
     return BracketMerge(
         frames=tuple(frames),

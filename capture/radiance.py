@@ -32,7 +32,8 @@ def write_radiance(
     """Write a merge as compressed .npz; it appears under its name complete.
 
     Keys: radiance (DN/s), variance ((DN/s)^2), flags (`Flag` bits), each (H, W); exposure_s (as used),
-    exposure_nominal_s, files, each (N,); clip_dn, cfa, each (2, 2); channels.
+    exposure_nominal_s, files, each (N,); clip_dn, cfa, each (2, 2); channels. Where the merge holds them:
+    chi_square (weighted sum of squared residuals over their variances) and samples (how many), each (H, W).
 
     Parameters
     ----------
@@ -52,6 +53,7 @@ def write_radiance(
     BadInput, Refused
         The file cannot be written, or the disk is full; an earlier file stays.
     """
+    maps = {"chi_square": merged.chi_square, "samples": merged.samples}
     with whole_file(path) as place, place.open("wb") as file:
         np.savez_compressed(
             file,
@@ -64,6 +66,7 @@ def write_radiance(
             cfa=cfa,
             channels=np.asarray(channels),
             files=np.asarray(files),
+            **{name: values for name, values in maps.items() if values is not None},
         )
 
 

@@ -12,7 +12,8 @@ what its counts show (clip level, bits in use, covered pixels), and what to know
 same picture twice, settings that changed between frames, a black level that drifts, stretched counts.
 
 The .npz of --out holds radiance (DN/s), variance, flags, exposure_s (used), exposure_nominal_s, clip_dn, cfa,
-channels, files.
+channels, files, and of each pixel how well the frames agree: chi_square (weighted sum of squared residuals
+over their variances), samples (how many frames it is of).
 
 The JSON object:
   files, estimator, note, times ("nominal" or "fitted"), clip_dn, hot_pixels, out, preview
@@ -90,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
         sensor=sensor,
         exposure_s=_times(options.exposure_s),
         times=options.times,
+        chi_square=bool(options.out),
     )
     if options.out:
         _write_npz(result, _with_suffix(options.out, ".npz"))

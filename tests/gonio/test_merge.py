@@ -73,8 +73,11 @@ def test_bracket_is_merged_and_written(tmp_path: Path, capsys: pytest.CaptureFix
     with np.load(out) as merged:
         assert set(merged) == {
             *("radiance", "variance", "flags", "exposure_s", "exposure_nominal_s"),
-            *("clip_dn", "cfa", "channels", "files"),
+            *("clip_dn", "cfa", "channels", "files", "chi_square", "samples"),
         }
+        several = merged["samples"] > 1
+        reduced = merged["chi_square"][several] / (merged["samples"][several] - 1.0)
+        assert reduced.mean() == pytest.approx(1.0, abs=0.03)
         good = merged["flags"] == 0
         pull = (merged["radiance"] - scene)[good] / np.sqrt(merged["variance"][good])
         assert merged["files"].tolist() == files
@@ -323,6 +326,18 @@ def test_flea3_other_scenes(
         if row["measured"] is not None and row["clean"]:
             true = TRUE_RATIOS.get(_label(row), 0.98 * row["nominal"])
             assert row["measured"] == pytest.approx(true, rel=0.025)
+
+
+@pytest.mark.realdata
+def test_flea3_beside_clipped_green(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Would catch samples that read low beside clipped green entering the merge, as they did."""
+    answer = run_json(capsys, *_flea3(shared_data, "disks", 550))
+    long = answer["agreement"]["frames"][-2]
+    assert -0.03 < long["median_signed"] < -0.012  # all its samples are beside clipped green
+    assert long["clean_samples"] == 0
+    assert answer["flags"]["NEIGHBOUR_CLIPPED"] > 10 * answer["flags"]["NEAR_CLIPPED_USED"]
+    clean = [frame["median_signed"] for frame in answer["agreement"]["frames"][:3]]
+    assert all(abs(value) < 0.003 for value in clean)
 
 
 def _flea3(shared_data: Path, scene: str, band: int) -> list[str]:
