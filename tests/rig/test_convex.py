@@ -158,14 +158,15 @@ def test_a_beam_is_the_hull_of_its_discs() -> None:
 def test_a_beam_on_its_axis_is_not_thickened_by_rounding() -> None:
     """Catches a rim that rounding puts out of its disc's plane: the stage would shade its own sample."""
     random = np.random.default_rng(0)
-    upright = np.array([[0.0, 0.0, 1.0]]) + random.normal(size=(500, 3)) * 1e-17
+    turns = rotation([0.0, 0.0, 1.0], random.uniform(-3.0, 3.0, 500))
+    upright = turns[:, :, 2]  # along z but for rounding
     normals = np.stack([upright, upright], axis=1)
     ends = np.tile([[0.0, 0.0, 0.5], [0.0, 0.0, 500.0]], (500, 1, 1))
     stage = Solids(
         np.tile([0.0, 0.0, 15.0], (500, 1)),
         np.full(500, 30.0),
         np.zeros(500),
-        rotation([0.0, 0.0, 1.0], random.uniform(-3.0, 3.0, 500)),
+        turns,
         np.tile([0.0, 0.0, -15.0], (500, 1)),
     )
     beams = Beams(ends, normals, np.array([25.0, 2.5]))
