@@ -106,6 +106,7 @@ def beside_clipped(merged: BracketMerge) -> dict[str, Any]:
         "seconds": bins,
         "samples": [100.0 * float(np.median(each)) for each in samples],
         "pixels": int(np.count_nonzero(rejected)),
+        "used": int(np.count_nonzero(flags & np.uint8(Flag.NEAR_CLIPPED_USED))),
         "merge": 100.0 * float(np.median((with_them / radiance - 1.0)[rejected])),
         "shift": (100.0 * (with_them / radiance - 1.0))[rejected],
     }
@@ -127,6 +128,7 @@ def _of_shifts(name: str, shifts: dict[str, Any]) -> list[dict[str, Any]]:
             at_least=True,
         )
     ]
+    rows.append(row(f"{name}: pixels where such samples had to be used, flagged", shifts["used"]))
     rows += [
         row(f"{name}: samples beside clipped green, {seconds:.3g} s, against the merge", value, "%")
         for seconds, value in zip(shifts["seconds"], shifts["samples"], strict=True)

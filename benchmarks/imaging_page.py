@@ -38,7 +38,9 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         "A real camera",
         "Flea3, seven exposures, darks of the day: samples of 60 to 240 DN (of 255) against the merge. "
         "Pixels beside clipped ones read low on this CCD: such samples are left out, and the figure shows "
-        "what they would have done to the merge.",
+        "what they would have done to the merge. Where the other frames hold a few counts only (they tell "
+        "less than 2 %, and this camera cuts its counts, half a DN too low) they are used, and flagged: the "
+        "low bias stays there, as the smaller error.",
         ("flea3.png", "550 nm: merge with samples beside clipped green against that without"),
     ),
     "imaging_peers": (

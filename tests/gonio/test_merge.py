@@ -335,7 +335,8 @@ def test_flea3_beside_clipped_green(shared_data: Path, capsys: pytest.CaptureFix
     long = answer["agreement"]["frames"][-2]
     assert -0.03 < long["median_signed"] < -0.012  # all its samples are beside clipped green
     assert long["clean_samples"] == 0
-    assert answer["flags"]["NEIGHBOUR_CLIPPED"] > 10 * answer["flags"]["NEAR_CLIPPED_USED"]
+    # Most have nothing else than a few counts in the short frames: used after all, and flagged.
+    assert answer["flags"]["NEIGHBOUR_CLIPPED"] > answer["flags"]["NEAR_CLIPPED_USED"] + 1000
     clean = [frame["median_signed"] for frame in answer["agreement"]["frames"][:3]]
     assert all(abs(value) < 0.003 for value in clean)
 
