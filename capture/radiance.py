@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,7 +53,8 @@ def write_radiance(
     BadInput, Refused
         The file cannot be written, or the disk is full; an earlier file stays.
     """
-    maps = {"chi_square": merged.chi_square, "samples": merged.samples}
+    asked = {"chi_square": merged.chi_square, "samples": merged.samples}
+    maps: dict[str, Any] = {name: values for name, values in asked.items() if values is not None}
     with whole_file(path) as place, place.open("wb") as file:
         np.savez_compressed(
             file,
@@ -66,7 +67,7 @@ def write_radiance(
             cfa=cfa,
             channels=np.asarray(channels),
             files=np.asarray(files),
-            **{name: values for name, values in maps.items() if values is not None},
+            **maps,
         )
 
 
