@@ -23,7 +23,7 @@ EXPECTED_S = {
     "data_exchange": 10.0,
     "data_rgl": 200.0,
     "data_readers": 120.0,
-    "data_damaged": 150.0,
+    "data_damaged": 600.0,
     "doctor": 300.0,
 }
 """Modules beside this one, quick ones first, and the seconds that each takes on a quiet machine."""

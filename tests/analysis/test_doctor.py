@@ -197,8 +197,10 @@ def test_rgl_with_and_without_the_cosine(shared_data, name):
     path = shared_data / "rgl" / f"{name}.bsdf"
     assert diagnose(table_of(read(path))).ranked[0].reading == Reading()
     found = diagnose(table_of(read(path, no_cosine=True)))
-    assert found.decided
     assert found.ranked[0].reading == Reading((Step.WITH_COS_O,))
+    assert not found.as_declared
+    # The green's lobe is too wide to show within 50 deg whether values rise by both cosines.
+    assert found.decided == (name != "cm_military_green_rgb")
 
 
 @pytest.mark.realdata
