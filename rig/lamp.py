@@ -6,6 +6,7 @@ serial line itself, questions and answers, is `rig.lamp_line`.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -170,15 +171,19 @@ class Lamp:
                 self._line.command("SYST:WDOG 0")
                 self._heart = None
 
+    def darken(self) -> None:
+        """Tell the light to go off, whoever is talking: a whole line between two of his. Never raises."""
+        with contextlib.suppress(GonioError):
+            self._line.send("OUTP OFF")
+
     def halt(self) -> PartStop:
         """Light off, now: also during an exposure, which ends with it. Never raises.
 
         If another thread is stuck in talk with the controller, OUTP OFF is written all the same.
         """
-        got = False
+        self.darken()
+        got = self._line.lock.acquire(timeout=LOCK_S)
         try:
-            self._line.send("OUTP OFF")  # whoever is talking: a whole line between two of his
-            got = self._line.lock.acquire(timeout=LOCK_S)
             if not got:
                 return PartStop("lamp", StopOutcome.UNKNOWN, "off was sent, the answer is blocked")
             # Two lines, one question each: what the light does counts, not whether a command was liked.

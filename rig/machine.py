@@ -264,9 +264,12 @@ class Machine:
         self._stopped.set()
         with self._stop_lock:
             lamp, servos = self._lamp, self._servos
-            parts = _attempt("lamp", lambda: (lamp.halt(),)) if lamp is not None else ()
-            parts += _attempt("servos", servos.halt) if servos is not None else ()
-            self._report = StopReport(parts)
+            if lamp is not None:
+                lamp.darken()
+            # Neither waits for what the other reads back.
+            light = _Aside(lambda: _attempt("lamp", lambda: (lamp.halt(),)) if lamp is not None else ())
+            arms = _attempt("servos", servos.halt) if servos is not None else ()
+            self._report = StopReport(light.result() + arms)
             return self._report
 
     def condemn(self, cause: GonioError) -> StopReport:
@@ -347,6 +350,28 @@ class Machine:
             raise self._cause
         if self._stopped.is_set():
             raise Refused("the machine was stopped", where=self.rig.name, todo="see why, then run again")
+
+
+class _Aside:
+    """One part's stop in a thread of its own; in this one where the system gives no more threads."""
+
+    def __init__(self, halt: Callable[[], tuple[PartStop, ...]]) -> None:
+        self._halt = halt
+        self._parts: tuple[PartStop, ...] = ()
+        self._thread = threading.Thread(target=self._run, name="stop", daemon=True)
+        try:
+            self._thread.start()
+        except RuntimeError:
+            self._run()
+
+    def _run(self) -> None:
+        self._parts = self._halt()
+
+    def result(self) -> tuple[PartStop, ...]:
+        """Wait for it."""
+        if self._thread.is_alive():
+            self._thread.join()
+        return self._parts
 
 
 def _attempt(part: str, halt: Callable[[], tuple[PartStop, ...]]) -> tuple[PartStop, ...]:
