@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from rig.convex import BoolArray, IntArray
     from rig.motion import Moves
 
-_BATCH = 20_000
-"""Pieces of moves that are looked at together; it bounds the memory."""
+_ENTRIES = 200_000
+"""Pairs at poses that are looked at together; it bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +61,19 @@ def sweep(pairs: SolidPairs, moves: Moves) -> Sweep:
     count, joints = moves.start.shape
     pair = np.full(count, -1, dtype=np.int64)
     where = np.full((count, joints), np.nan)
-    stack = [
-        _Pieces(np.arange(count), np.zeros(count), np.ones(count), np.ones((count, len(pairs.pairs)), bool))
-    ]
-    while stack:
-        pieces = stack.pop()
-        pieces = pieces.some(pair[pieces.move] < 0)
-        if len(pieces.move) > _BATCH:
-            half = len(pieces.move) // 2
-            stack += [pieces.some(slice(half, None)), pieces.some(slice(half))]
-            continue
-        if pieces.move.size:
-            stack.append(_halve(pairs, moves, pieces, pair, where))
+    batch = _batch(pairs)
+    for first in range(0, count, batch):
+        move = np.arange(first, min(first + batch, count))
+        asked = np.ones((len(move), len(pairs.pairs)), dtype=bool)
+        stack = [_Pieces(move, np.zeros(len(move)), np.ones(len(move)), asked)]
+        while stack:
+            pieces = stack.pop()
+            pieces = pieces.some(pair[pieces.move] < 0)
+            if len(pieces.move) > batch:
+                half = len(pieces.move) // 2
+                stack += [pieces.some(slice(half, None)), pieces.some(slice(half))]
+            elif pieces.move.size:
+                stack.append(_halve(pairs, moves, pieces, pair, where))
     return Sweep(pair < 0, pair, where)
 
 
@@ -86,12 +87,18 @@ def near_poses(pairs: SolidPairs, angles_rad: FloatArray) -> Sweep:
     """
     count = len(angles_rad)
     pair = np.full(count, -1, dtype=np.int64)
-    for begin in range(0, count, _BATCH):
-        part = angles_rad[begin : begin + _BATCH]
+    batch = _batch(pairs)
+    for begin in range(0, count, batch):
+        part = angles_rad[begin : begin + batch]
         asked = np.ones((len(part), len(pairs.pairs)), dtype=bool)
-        _undecided(pairs, part, asked, np.zeros_like(asked, dtype=float), pair[begin : begin + _BATCH])
+        _undecided(pairs, part, asked, np.zeros_like(asked, dtype=float), pair[begin : begin + batch])
     where = np.where((pair < 0)[:, None], np.nan, angles_rad)
     return Sweep(pair < 0, pair, where)
+
+
+def _batch(pairs: SolidPairs) -> int:
+    """Poses that are looked at together."""
+    return max(_ENTRIES // max(len(pairs.pairs), 1), 1)
 
 
 @dataclass(frozen=True, eq=False)
