@@ -37,8 +37,8 @@ FRAME_S = 1.0
 UNDER_WAY_S = 0.15
 FAILING_JOINT = "camera_azimuth"
 WAIT_S = 30.0
-RECOVERY_S = 0.7
-"""An overheated servo cools below its limit, and an open door is closed again, in less."""
+RECOVERY_S = 0.5
+"""An open door is closed again in less; an overheated servo is asked so often whether it has cooled."""
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -115,11 +115,10 @@ class Scene:
 
     def fault(self, kind: str, since: float) -> float:
         """When a fault of the script happened."""
-        return next(
-            float(event["t"])
-            for event in self.twin.wire_log()
-            if event.get("event") == "fault" and event["kind"] == kind and event["t"] > since
-        )
+        for event in self.twin.wire_log():
+            if event.get("event") == "fault" and event["kind"] == kind and event["t"] > since:
+                return float(event["t"])
+        raise RuntimeError(f"no {kind} happened")
 
 
 # -- causes inside the program
@@ -185,8 +184,13 @@ def _failing(scene: Scene, kind: str, line: str, tells: Callable[[bytes], bool])
     stop = scene.stop_of(machine, scene.answer(line, happened, tells))
     time.sleep(RECOVERY_S)
     failing = next(joint.id for joint in scene.rig.joints if joint.name == FAILING_JOINT)
+    deadline = time.monotonic() + WAIT_S
     with ServoBus(scene.rig.ports.servos, scene.rig.bus.baud) as bus:
         bus.reboot(failing)
+        while bus.read(failing, "hardware_error_status"):  # still too warm
+            assert time.monotonic() < deadline
+            time.sleep(RECOVERY_S)
+            bus.reboot(failing)
     return stop
 
 
