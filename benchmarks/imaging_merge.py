@@ -165,7 +165,9 @@ def _plot(path: Path, full: list[Level], poisson: list[Level]) -> None:
                 fmt=".-",
                 color=colour,
             )
-            axes[2].semilogx(light, [level.stated for level in found], ".-", color=colour)
+        # One level of light does not tell the gain: without a sensor model sigma is shown by scenes only.
+        axes[2].semilogx([e.radiance for e in full], [e.stated for e in full], ".-", color="C0")
+        axes[0].set_ylim(0.0, 1.15)
         axes[0].set_ylabel("efficiency (dotted: of all\nunclipped samples)")
         axes[0].legend()
         axes[1].set_ylabel("bias / %")

@@ -52,8 +52,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     ),
     "imaging_speed": (
         "Time and memory",
-        "CPU time of one thread, in pairs of runs that follow each other; memory of a process of its own. On a "
-        "machine that does other work too, passes over memory lose more than OpenCV's logarithms.",
+        "CPU time of one thread, in pairs of runs that follow each other; memory of a process of its own. On "
+        "a machine that does other work too, passes over memory lose more than OpenCV's logarithms.",
         None,
     ),
     "imaging_sensor": ("A sensor from its own frames", "The worst of eight simulated cameras.", None),
