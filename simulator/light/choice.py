@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from rig.errors import Refused
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
 from simulator.light.shares import Shares
+from simulator.light.tasks import Asked, Task, Way, by_method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -191,9 +192,9 @@ class Chooser:
         return self.decide_many([angles_rad])[0]
 
     def _decided(self, angles_rad: tuple[float, ...], bounds: tuple[float, ...]) -> Decision:
-        asked = _Asked(self._mi, self._scene, angles_rad, vector=self._vector)
+        asked = Asked(self._mi, self._scene, angles_rad, vector=self._vector)
         classes = self._shares.classes
-        best: tuple[tuple[bool, float, float], Sequence[_Task], tuple[int, ...]] | None = None
+        best: tuple[tuple[bool, float, float], Sequence[Task], tuple[int, ...]] | None = None
         for way in self._ways(bounds, MOST_SKIPPED * self._tolerance):
             dearest = best[0][1] if best is not None and not best[0][0] else np.inf
             if way.least_s > dearest:
@@ -225,12 +226,12 @@ class Chooser:
             True angles of the arm joints.
         """
         pose = tuple(float(angle) for angle in angles_rad)
-        asked = _Asked(self._mi, self._scene, pose, vector=self._vector)
+        asked = Asked(self._mi, self._scene, pose, vector=self._vector)
         bounds = self._shares.bounds([pose])[0]
         for way in self._ways(bounds, np.inf):
             yield self._parts(self._tasks(way, bounds, asked, np.inf) or ())
 
-    def _ways(self, bounds: Sequence[float], most: float) -> Iterator[_Way]:
+    def _ways(self, bounds: Sequence[float], most: float) -> Iterator[Way]:
         """Yield what may be skipped, and who can compute the rest."""
         order = sorted(range(len(bounds)), key=lambda number: (bounds[number], -number))
         for count in reversed(range(len(order))):
@@ -240,7 +241,7 @@ class Chooser:
             skipped = tuple(sorted(order[:count]))
             kept = tuple(number for number in range(len(bounds)) if number not in skipped)
             for least_s, division in self._divisions(kept):
-                yield _Way(skipped, spent, division, least_s)
+                yield Way(skipped, spent, division, least_s)
 
     def _divisions(self, kept: tuple[int, ...]) -> tuple[tuple[float, dict[Method, tuple[int, ...]]], ...]:
         """Every way to divide classes among methods that can compute their parts exactly, cheapest first.
@@ -255,7 +256,7 @@ class Chooser:
             found = [
                 (sum(self._least_s(method, numbers) for method, numbers in division.items()), division)
                 for chosen in product(*alike)
-                if self._possible(division := _by_method(chosen, tuple(alike.values())))
+                if self._possible(division := by_method(chosen, tuple(alike.values())))
             ]
             self._divided[kept] = tuple(sorted(found, key=itemgetter(0)))
         return self._divided[kept]
@@ -284,8 +285,8 @@ class Chooser:
         return self._unions[numbers]
 
     def _tasks(
-        self, way: _Way, bounds: Sequence[float], asked: _Asked, dearest: float
-    ) -> Sequence[_Task] | None:
+        self, way: Way, bounds: Sequence[float], asked: Asked, dearest: float
+    ) -> Sequence[Task] | None:
         """Ask each method for its part of what is left; light that is little may be rough.
 
         None if all together would take longer than the dearest that is still looked for.
@@ -301,10 +302,10 @@ class Chooser:
             total += seconds
             if total > dearest:
                 return None
-            tasks.append(_Task(method, numbers, seconds, tolerance, missing))
+            tasks.append(Task(method, numbers, seconds, tolerance, missing))
         return tasks
 
-    def _parts(self, tasks: Sequence[_Task]) -> tuple[Part, ...]:
+    def _parts(self, tasks: Sequence[Task]) -> tuple[Part, ...]:
         return tuple(
             Part(
                 task.method,
@@ -327,59 +328,8 @@ class Chooser:
         return f"{names} ({told})" if told else names
 
 
-class _Way(NamedTuple):
-    """What is skipped, by number, the sum of its bounds, and who computes the rest, in what time at least."""
-
-    skipped: tuple[int, ...]
-    spent: float
-    division: Mapping[Method, tuple[int, ...]]
-    least_s: float
-
-
-class _Task(NamedTuple):
-    """What one method would do: as `Part`, its classes by number."""
-
-    method: Method
-    numbers: tuple[int, ...]
-    seconds: float
-    tolerance: float
-    leaves_out: float
-
-
 _LEAST = 0.05
 """Least part of the tolerance that a method is asked for, where it leaves out nearly all of it itself."""
 
 _ROUGHEST = 0.3
 """Largest error that a method is asked for, relative to what it computes: beyond, none knows its own."""
-
-
-class _Asked:
-    """What methods say about a pose, asked for once."""
-
-    def __init__(self, mi: Any, scene: Scene, angles_rad: tuple[float, ...], *, vector: bool) -> None:
-        self._mi, self._scene, self._angles_rad, self._vector = mi, scene, angles_rad, vector
-        self._left_out: dict[Method, float] = {}
-        self._seconds: dict[tuple[Method, tuple[int, ...], float], float] = {}
-
-    def left_out(self, method: Method) -> float:
-        """Return what it leaves out however long it works."""
-        if method not in self._left_out:
-            self._left_out[method] = method.leaves_out(self._mi, self._scene, self._angles_rad)
-        return self._left_out[method]
-
-    def seconds(self, method: Method, numbers: tuple[int, ...], paths: LightPaths, tolerance: float) -> float:
-        """Return its predicted time for some classes, whose union the paths are."""
-        key = method, numbers, tolerance
-        if key not in self._seconds:
-            self._seconds[key] = method.seconds_at(
-                self._mi, self._scene, paths, tolerance, self._angles_rad, vector=self._vector
-            )
-        return self._seconds[key]
-
-
-def _by_method(chosen: Sequence[Method], groups: Sequence[tuple[int, ...]]) -> dict[Method, tuple[int, ...]]:
-    """Gather groups of classes that go to the same method."""
-    division: dict[Method, tuple[int, ...]] = {}
-    for method, numbers in zip(chosen, groups, strict=True):
-        division[method] = tuple(sorted((*division.get(method, ()), *numbers)))
-    return division

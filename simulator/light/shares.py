@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.angles import unit
-from simulator.light.bounds import MARGIN, RINGS, TURNS, Light, Lobe, Start, Surroundings
+from simulator.light.bounds import Surroundings
 from simulator.light.classes import SAMPLE, SHORT, path_classes, walks
 from simulator.light.hemisphere import hemisphere
+from simulator.light.lights import MARGIN, RINGS, TURNS, Light, Lobe, Start
 from simulator.light.lobes import OwnImage, brightest_within, image_cone
 from simulator.light.looks import Looks
 from simulator.light.scene import Event
