@@ -11,6 +11,7 @@ from capture.feasible import Obstacles, Reason, feasible
 from capture.itinerary import lay_out
 from capture.plan import plan_from
 from capture.poses import listed
+from capture.travel import travel_past
 from rig.clearance import Clearance
 from rig.description import Box, Camera, Capsule, Rig, Sphere
 from rig.description import default_rig as describe
@@ -150,21 +151,38 @@ def test_a_sweep_past_the_lamp_goes_round_it() -> None:
     assert itinerary.forecast().travel_s >= direct.forecast().travel_s
 
 
-def test_poses_behind_a_wall_are_cut_off() -> None:
-    """Catches a plan whose arms would have to pass through a solid, or one that loses more than it must."""
-    # A ring of balls at 62 degrees: the camera, parked within, cannot pass between them.
+@pytest.fixture(scope="module")
+def fenced() -> Rig:
+    """Return a machine with a ring of balls at 62 degrees: the camera, parked within, cannot pass between."""
     angles = np.radians(np.arange(0.0, 360.0, 12.0))
     ring = 600.0 * np.column_stack([np.sin(1.08) * np.cos(angles), np.sin(1.08) * np.sin(angles)])
     balls = [
         Sphere(name=f"ball{n}", centre_mm=(x, y, 600.0 * np.cos(1.08)), radius_mm=34.0)
         for n, (x, y) in enumerate(ring.tolist())
     ]
-    rig = describe(solids=(*(s for s in describe().solids if s.link.startswith("camera")), *balls))
-    poses = [[45.0, 0.0, theta, 180.0] for theta in (5.0, 75.0, 10.0, 80.0)]
-    found = lay_out(plan_of(poses), rig).feasible
+    return describe(solids=(*(s for s in describe().solids if s.link.startswith("camera")), *balls))
+
+
+IN_AND_OUT = [[45.0, 0.0, theta, 180.0] for theta in (5.0, 75.0, 10.0, 80.0)]
+
+
+def test_poses_behind_a_wall_are_cut_off(fenced: Rig) -> None:
+    """Catches a plan whose arms would have to pass through a solid."""
+    found = lay_out(plan_of(IN_AND_OUT), fenced).feasible
     assert found.counts == {Reason.CUT_OFF: 2}
     assert list(found.taken) == [0, 2]
     assert "ball" in found.refusals[0].detail
+
+
+def test_a_pose_after_one_that_is_cut_off_is_kept(fenced: Rig) -> None:
+    """Catches a pose lost only because it came after one behind the wall."""
+    wi, wo = listed(np.radians(IN_AND_OUT))
+    kinematics, obstacles = Kinematics(fenced), Obstacles(fenced)
+    found = feasible(kinematics, wi, wo, obstacles)
+    left, order, travel = travel_past(obstacles.clearance, found, np.arange(4), kinematics.park_rad)
+    assert list(left.taken) == [0, 2]
+    assert list(order) == [0, 1]
+    assert travel.seconds(2) == travel.first_s + travel.there_s + travel.back_s
 
 
 @pytest.mark.parametrize("spoiled", ["drop", "mark"])
