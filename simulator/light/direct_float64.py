@@ -70,7 +70,7 @@ class Float64Nodes:
         lens = lens[seen]
         total = np.zeros((len(seen), 3))
         for node, weight in zip(rule.nodes, rule.weights, strict=True):
-            points, _ = meet(view, lens, self._extents.pixel * node[2:4])
+            points, _ = meet(view, lens, self._extents.pixel * node[2:4], node[4:])
             to_light = view.light_mm + node[:2] @ view.light_disc_mm - points
             to_camera = view.camera_mm + node[4:] @ view.pupil_disc_mm - points
             light_mm = np.linalg.norm(to_light, axis=-1, keepdims=True)

@@ -154,7 +154,7 @@ class MitsubaNodes:
         import drjit as dr
 
         mi = self._mi
-        met, _ = view.meet(place)
+        met = view.out_of_focus(*view.meet(place), node[4:])
         point = mi.Vector3f(met.x, met.y, 0.0)
         to_light = view.light + node[0] * view.light_disc[0] + node[1] * view.light_disc[1] - point
         light_squared = dr.squared_norm(to_light)
@@ -185,7 +185,7 @@ class _View:
         vectors = [mi.Vector3f(*numbers[start : start + 3]) for start in range(9, 30, 3)]
         self.light, *self.light_disc, self.facing, self.camera = vectors[:5]
         self.pupil_disc = vectors[5:]
-        self.strength = numbers[-1]
+        self.strength, self._focus = numbers[-2:]
         self._point = mi.Point2f
 
     def meet(self, place: Any) -> tuple[Any, Any]:
@@ -193,3 +193,14 @@ class _View:
         h = self._homography
         across, up, w = (h[row] * place.x + h[row + 1] * place.y + h[row + 2] for row in (0, 3, 6))
         return self._point(across / w, up / w), w
+
+    def out_of_focus(self, met: Any, w: Any, node: list[Any]) -> Any:
+        """Compute `direct_view.out_of_focus`: w is the slope's -z."""
+        import drjit as dr
+
+        off = node[0] * self.pupil_disc[0] + node[1] * self.pupil_disc[1]
+        depth = self.camera.z / w
+        slope = (self._point(met.x, met.y) - self._point(self.camera.x, self.camera.y)) / depth
+        beyond = (self._focus - depth) / (-self._focus * w - off.z)
+        moved = met + beyond * (-w * self._point(off.x, off.y) - off.z * slope)
+        return dr.select(self._focus > 0.0, moved, met)

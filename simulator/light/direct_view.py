@@ -34,11 +34,14 @@ class Extents:
         Side of what a pixel sees, in pixels: 1, or 0 for its centre.
     pupil_radius_mm : float
         Radius of the camera's entrance pupil.
+    focus_mm : float
+        Distance from the pupil to the plane that is in focus; 0 where everything is.
     """
 
     lamp_radius_mm: float
     pixel: float
     pupil_radius_mm: float
+    focus_mm: float = 0.0
 
     @property
     def parts(self) -> tuple[bool, bool, bool]:
@@ -52,7 +55,9 @@ POINTS = Extents(0.0, 0.0, 0.0)
 
 def extents_of(rig: Rig) -> Extents:
     """Return what the rig file states."""
-    return Extents(rig.lamp.diameter_mm / 2.0, 1.0, rig.camera.aperture_diameter_mm / 2.0)
+    camera = rig.camera
+    focus_mm = camera.focus_distance_mm or camera.distance_mm
+    return Extents(rig.lamp.diameter_mm / 2.0, 1.0, camera.aperture_diameter_mm / 2.0, focus_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +122,8 @@ class View:
     strength : float
         Of a lamp whose irradiance at the sample's centre at normal incidence is 1: times the cosines over
         the distance squared it is the irradiance.
+    focus_mm : float
+        As in `Extents`.
     """
 
     homography: Array
@@ -128,6 +135,7 @@ class View:
     camera_mm: Array
     pupil_disc_mm: Array
     strength: float
+    focus_mm: float
 
     @property
     def light_disc_mm(self) -> Array:
@@ -136,11 +144,10 @@ class View:
 
     @property
     def numbers(self) -> Array:
-        """What nodes on a flat sample need, in a row, shape (31,)."""
+        """What nodes on a flat sample need, in a row, shape (32,)."""
         parts = (self.homography, self.light_mm, self.light_disc_mm, self.facing, self.camera_mm)
-        return np.concatenate(
-            [part.ravel() for part in (*parts, self.pupil_disc_mm, self.strength * np.ones(1))]
-        )
+        last = np.array([self.strength, self.focus_mm])
+        return np.concatenate([part.ravel() for part in (*parts, self.pupil_disc_mm, last)])
 
 
 def view_of(frames: Frames, extents: Extents) -> View:
@@ -170,11 +177,12 @@ def view_of(frames: Frames, extents: Extents) -> View:
         camera_mm=camera,
         pupil_disc_mm=extents.pupil_radius_mm * rotation[:, :2].T,
         strength=distance_squared + extents.lamp_radius_mm**2,
+        focus_mm=extents.focus_mm,
     )
 
 
-def meet(view: View, lens: Lens, offset: Array) -> tuple[Array, Array]:
-    """Return where pixels' points meet the sample's plane.
+def meet(view: View, lens: Lens, offset: Array, pupil: Array | None = None) -> tuple[Array, Array]:
+    """Return where pixels' points meet the sample's plane, seen from the pupil's middle or another point.
 
     Parameters
     ----------
@@ -183,6 +191,8 @@ def meet(view: View, lens: Lens, offset: Array) -> tuple[Array, Array]:
         N pixels.
     offset : array_like, shape (2,)
         Of the point from the pixel's centre, right and down, in pixels.
+    pupil : array_like, shape (2,), optional
+        A point of the pupil, right and down, in its radii.
 
     Returns
     -------
@@ -195,7 +205,39 @@ def meet(view: View, lens: Lens, offset: Array) -> tuple[Array, Array]:
         np.outer(view.homography[:, 0], x) + np.outer(view.homography[:, 1], y) + view.homography[:, 2:]
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([across / w, up / w, np.zeros_like(w)], axis=-1), w
+        points = np.stack([across / w, up / w, np.zeros_like(w)], axis=-1)
+        if pupil is not None and view.focus_mm > 0.0:
+            points = out_of_focus(
+                points, view.camera_mm, view.camera_rotation[:, 2], pupil @ view.pupil_disc_mm, view.focus_mm
+            )
+    return points, w
+
+
+def out_of_focus(points_mm: Array, camera_mm: Array, forward: Array, off_mm: Array, focus_mm: float) -> Array:
+    """Move points of the sample's plane to where another point of the pupil sees them.
+
+    All rays of a pixel's point through a thin lens meet in the plane in focus; the one through the lens's
+    middle goes straight on. Potmesil and Chakravarty (1981, "A lens and aperture camera model for synthetic
+    image generation", section 4) measure what is left beside that plane: the circle of confusion.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (..., 3)
+        Where rays through the pupil's middle meet z = 0.
+    camera_mm, forward : ndarray, shape (..., 3)
+        That middle, and the unit vector along the optical axis.
+    off_mm : ndarray, shape (..., 3)
+        The pupil's other point, from its middle.
+    focus_mm : float
+        Distance of the plane in focus.
+    """
+    way = points_mm - camera_mm
+    depth = np.sum(way * forward, axis=-1, keepdims=True)
+    slope = way / depth
+    beyond = (focus_mm - depth) / (focus_mm * slope[..., 2:] - off_mm[..., 2:])
+    moved = points_mm + beyond * (slope[..., 2:] * off_mm - off_mm[..., 2:] * slope)
+    moved[..., 2] = points_mm[..., 2]
+    return np.asarray(moved)
 
 
 def sample_share(view: View, lens: Lens, side: float, radius_mm: float) -> Array:

@@ -8,6 +8,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.angles import unit
+from simulator.light.direct_view import extents_of, out_of_focus
 from simulator.light.looks import Looks
 from simulator.light.reflectance import material_reflectance
 

@@ -66,6 +66,11 @@ class SampleSurface:
         self._apex = np.array([0.0, 0.0, mounting.height_mm])
         self._waves = None if mounting.relief is None else relief_waves(mounting.relief)
 
+    @property
+    def reach_mm(self) -> float:
+        """How far from the origin some point of the sample may be."""
+        return abs(self._mounting.height_mm) + 2.0 * self._radius_mm
+
     def meet(self, origin_mm: Array, directions: Array) -> Met:
         """Intersect rays.
 

@@ -36,6 +36,11 @@ ROUNDING = 1e-11
 """Relative error of one radiance: a point on a curved sample is a difference of arms' lengths."""
 _AROUND = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 """Where it is looked for edges, in pixels from the centre: beyond the pixel, for the outline is steep."""
+_TURNS = 0.25 * np.pi * np.arange(8)
+_RIM = np.vstack([np.zeros((1, 2)), np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])])
+"""The pupil's middle, and points of its rim, in its radii."""
+_SHARP_MM = 1e-3
+"""Circle of confusion on the sample that nobody sees."""
 _FEWEST, _MOST = 16, 4096
 """Points of a pixel with an edge."""
 _NODE_S, _ONE_BY_ONE_S, _NODES, _CROSSED = 8e-7, 4e-6, 13, 0.1
@@ -75,8 +80,22 @@ class SurfaceNodes:
         """Tell which pixels (N,) hold an edge."""
         if self._extents.pixel == 0.0:
             return np.zeros(len(lens), dtype=bool)
-        met = [self._surface.meet(view.camera_mm, _ways(view, lens, offset)) for offset in _AROUND]
+        met = [
+            self._surface.meet(*_rays(view, lens, offset, pupil))
+            for offset in _AROUND
+            for pupil in (_RIM if self._blurred(view) else _RIM[:1])
+        ]
         return self._surface.edges(met)
+
+    def _blurred(self, view: View) -> bool:
+        """Tell whether the sample leaves the plane in focus by more than pixels show."""
+        nearest, farthest = (
+            np.linalg.norm(view.camera_mm) + sign * self._surface.reach_mm for sign in (-1.0, 1.0)
+        )
+        if view.focus_mm == 0.0:
+            return False
+        off = max(abs(view.focus_mm - nearest), abs(farthest - view.focus_mm))
+        return bool(self._extents.pupil_radius_mm * off / view.focus_mm > _SHARP_MM)
 
     def sum(self, view: View, lens: Lens, rule: Rule) -> Array:
         """Mean radiance (N, 3) of pixels over a rule's nodes, edges or not."""
@@ -88,7 +107,7 @@ class SurfaceNodes:
     def _node(self, view: View, lens: Lens, node: Array) -> Array:
         """Radiance (N, 3) of points of pixels towards a point of the pupil, lit by a point of the lamp."""
         radiance = np.zeros((len(lens), 3))
-        met = self._surface.meet(view.camera_mm, _ways(view, lens, self._extents.pixel * node[2:4]))
+        met = self._surface.meet(*_rays(view, lens, self._extents.pixel * node[2:4], node[4:]))
         to_light = view.light_mm + node[:2] @ view.light_disc_mm - met.points_mm
         to_camera = view.camera_mm + node[4:] @ view.pupil_disc_mm - met.points_mm
         lit = met.seen & (_dot(to_light, met.normals) > 0.0) & (_dot(to_camera, met.normals) > 0.0)
@@ -198,6 +217,17 @@ def _ways(view: View, lens: Lens, offset: Array) -> Array:
     x, y = (lens.places + offset[0] * lens.across + offset[1] * lens.down).T
     ways = np.stack([x, y, np.ones_like(x)], axis=-1) @ view.camera_rotation.T
     return np.asarray(ways / np.linalg.norm(ways, axis=-1, keepdims=True))
+
+
+def _rays(view: View, lens: Lens, offset: Array, pupil: Array) -> tuple[Array, Array]:
+    """Return the origin (3,) and directions (N, 3) of rays from a point of the pupil to points of pixels."""
+    off = pupil @ view.pupil_disc_mm
+    if view.focus_mm == 0.0 or not off.any():
+        return view.camera_mm, _ways(view, lens, offset)
+    ways = _ways(view, lens, offset)
+    in_focus = ways * (view.focus_mm / (ways @ view.camera_rotation[:, 2]))[:, None]
+    ways = in_focus - off
+    return view.camera_mm + off, ways / np.linalg.norm(ways, axis=-1, keepdims=True)
 
 
 def _dot(first: Array, second: Array) -> Array:

@@ -121,7 +121,7 @@ class VirtualLights(Evaluator):
         """
         total = np.zeros((len(lens), 3))
         for node, weight in zip(rule.nodes, rule.weights, strict=True):
-            points, w = meet(view, lens, node[2:4])
+            points, w = meet(view, lens, node[2:4], node[4:])
             points = np.where(w[:, None] > 0.0, points, 0.0)
             wo = unit(view.camera_mm + node[4:] @ view.pupil_disc_mm - points)
             place = view.light_mm + node[:2] @ view.light_disc_mm

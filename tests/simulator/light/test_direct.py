@@ -81,8 +81,14 @@ def dense(rig: Rig, material: ClosedFormMaterial, pose: tuple[float, ...], pixel
             )
             place = seen.position_mm.reshape(-1, 2)[pixels]
             p = np.concatenate([place, np.zeros((len(pixels), 1))], axis=1)[:, None, None, :]
-            to_light = (frames.light_mm + radius_mm * lamp @ ring)[:, None, :] - p
             aperture = rig.camera.aperture_diameter_mm / 2.0 * pupil @ frames.camera_rotation[:, :2].T
+            # All rays of a point meet in the plane that holds the sample's centre, and not on the sample.
+            way = p - frames.camera_mm
+            in_focus = rig.camera.distance_mm / (way @ frames.camera_rotation[:, 2])[..., None] * way
+            bent = in_focus - aperture
+            start = frames.camera_mm + aperture
+            p = start - start[:, 2:] / bent[..., 2:] * bent
+            to_light = (frames.light_mm + radius_mm * lamp @ ring)[:, None, :] - p
             to_camera = frames.camera_mm + aperture - p
             r = np.linalg.norm(to_light, axis=-1, keepdims=True)
             wi, wo = np.broadcast_arrays(
