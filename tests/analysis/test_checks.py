@@ -205,7 +205,7 @@ def test_an_offset_of_the_azimuth(turn_deg):
 
 
 def test_an_offset_needs_both_sides():
-    """Catches an offset told of views on one side of the plane, or of a surface that is the same all around."""
+    """Catches an offset told of views on one side of the plane, or of a surface alike all around."""
     wi, wo, value = _scan(np.random.default_rng(1))
     one = np.cross(wi, wo)[:, 2] > 0.0
     half = _found(make_samples(wi[one], wo[one], value[one]), "azimuth offset")
