@@ -1,9 +1,9 @@
 """Error against time of the twin's light, method by method.
 
-The parts can be run alone: light_mirror (light thrown by a mirror), light_bsdfs (every model in single
-precision), light_housing (stray light), light_demo (the demo's light against path tracing), light_modes
-(scalar and LLVM alike), light_direct (lamps, pixels and a pupil with sizes), light_chooser (the choice of
-methods over scenes drawn from a seed).
+The parts can be run alone: light_mirror (light thrown by a mirror), light_caustics (by a hollow one),
+light_bsdfs (every model in single precision), light_housing (stray light), light_demo (the demo's light
+against path tracing), light_modes (scalar and LLVM alike), light_direct (lamps, pixels and a pupil with
+sizes), light_chooser (the choice of methods over scenes drawn from a seed).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 PARTS = (
     "light_mirror",
+    "light_caustics",
     "light_bsdfs",
     "light_housing",
     "light_demo",

@@ -86,7 +86,7 @@ def test_the_samples_centre_is_in_focus_by_default() -> None:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("focus_mm", [0.0, 480.0])
+@pytest.mark.parametrize("focus_mm", [pytest.param(0.0, marks=pytest.mark.slow), 480.0])
 def test_a_pattern_out_of_focus_is_mitsubas(vector: Any, focus_mm: float) -> None:
     """Would catch edges that stay sharp, and pixels that hold an edge without being told so (z-test)."""
     from scipy.special import ndtri

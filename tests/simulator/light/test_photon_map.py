@@ -152,6 +152,7 @@ class TestVirtualLightsAreTheTruth:
         assert found.error <= tolerance
         assert 0.3 * found.error < error < 2.0 * found.error
 
+    @pytest.mark.slow
     def test_error_falls_with_more_photons(self, vector: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         """Would catch an estimate that stops getting better, or says so while it does."""
         from simulator.light import photon_map as module
@@ -185,6 +186,7 @@ class TestScatteredBefore:
         what = scene(mirror, spec="lambert:kd=0.9")
         self.compare(vector, what, LightPaths("LDlSDlSDlE"), 4)
 
+    @pytest.mark.slow
     def test_walls_light_it_over_a_hollow_mirror(self, vector: Any) -> None:
         """Would catch walls without their albedo or with the wrong normal, against the path tracer."""
         mirror = SphericalMirror((-150.0, 0.0, 100.0), (1.0, 0.0, -0.4), 300.0, 80.0, 0.9)
