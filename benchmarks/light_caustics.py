@@ -54,7 +54,7 @@ def run(plots: Path | None) -> list[dict[str, Any]]:  # noqa: ARG001 - no figure
 
 def _caustic(mi: Any) -> list[dict[str, Any]]:
     mirror = SphericalMirror((0.0, 0.0, HEIGHT_MM), (0.0, 0.0, -1.0), RADIUS_MM, RIM_MM, REFLECTANCE)
-    scene, angles = _scene(mirror, lamp_cosine=False), np.zeros(4)
+    scene, angles = _scene(mirror, lamp_cosine=False), (0.0,) * 4
     start = time.process_time()
     rendering = _photons(mi, scene).render(angles, 0.1)
     seconds = time.process_time() - start
@@ -92,7 +92,7 @@ def _flux_within(radius_mm: float, lamp_mm: float) -> float:
 
 def _planar(mi: Any, name: str) -> list[dict[str, Any]]:
     """Compare with the lamp's image in a planar mirror, without and with an edge in the picture."""
-    scene, angles = _scene(MIRRORS[name]), np.radians(ANGLES_DEG)
+    scene, angles = _scene(MIRRORS[name]), tuple(np.radians(ANGLES_DEG).tolist())
     seen = pixel_geometry(scene.rig, angles).on_sample
     exact = VirtualLights(scene, material_reflectance(mi, scene.material), BOUNCED)
     wanted = exact.render(angles, 1e-4).radiance[seen]

@@ -265,7 +265,7 @@ def _mean_of(estimate: Estimate, seen: Bools) -> tuple[float, float]:
 
 def _alone(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> list[_Means]:
     """Return the means of classes that other methods serve best, each by itself."""
-    found = []
+    found: list[_Means] = []
     for number, method in _quickest(mi, scene, chooser, tolerance).items():
         if isinstance(method, PathClassesMethod):
             continue

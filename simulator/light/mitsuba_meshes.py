@@ -147,7 +147,8 @@ def _box(half_mm: tuple[float, float, float], parts: int) -> tuple[Array, NDArra
     u, v = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     cell = (np.arange(parts)[:, None] * (parts + 1) + np.arange(parts)).ravel()
     quad = np.stack([cell, cell + parts + 1, cell + parts + 2, cell + 1], axis=-1)
-    corners, faces = [], []
+    corners: list[Array] = []
+    faces: list[NDArray[np.intp]] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             side = np.zeros((len(u), 3))

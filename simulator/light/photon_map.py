@@ -193,7 +193,7 @@ class PhotonMap(Evaluator):
         if step == 1:
             return found
         between = RegularGridInterpolator((rows, cols), found)
-        wanted = np.stack(np.indices((camera.height_px, camera.width_px)), axis=-1)
+        wanted = np.moveaxis(np.indices((camera.height_px, camera.width_px)), 0, -1)
         return np.asarray(between(wanted.astype(np.float64)))
 
     def _halves(self, light_mm: Array, count: int) -> tuple[_Half, _Half]:

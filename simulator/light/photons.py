@@ -13,7 +13,7 @@ A photon on the sample may be scattered towards a mirror again. What it has met 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,8 @@ class Photons:
         return len(self.places_mm)
 
 
-class _Cells(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Cells:
     """Parts of mirrors: the numbers (C,) of mirrors, columns and rows of a grid of `side` squared cells."""
 
     mirrors: Indices
@@ -180,7 +181,8 @@ class PhotonTracer:
 
     def _everywhere(self, side: int = 1) -> _Cells:
         """Return all mirrors, each cut into equal cells."""
-        return _Cells(*(index.ravel() for index in np.indices((len(self._scene.mirrors), side, side))), side)
+        mirrors, columns, rows = np.indices((len(self._scene.mirrors), side, side))
+        return _Cells(mirrors.ravel(), columns.ravel(), rows.ravel(), side)
 
     def _lit_cells(self, light_mm: Array, origin: Origin) -> _Cells:
         """Find the parts of mirrors that throw light on the sample, ever smaller ones."""
@@ -206,7 +208,8 @@ class PhotonTracer:
             for up in (-1, 0, 1):
                 # Round a spherical mirror rows close; elsewhere a cell too many does no harm.
                 around |= np.roll(kept, (across, up), axis=(1, 2))
-        return _Cells(*np.nonzero(around), side)
+        mirrors, columns, rows = np.nonzero(around)
+        return _Cells(mirrors, columns, rows, side)
 
     def _send(self, start: Start, cells: _Cells, u: Array) -> tuple[list[Photons], Indices]:
         """Send photons at cells; return those that arrive, by mirrors met, and the cell of each of all."""
@@ -272,7 +275,7 @@ class PhotonTracer:
         way = -points[down, 2] / directions[down, 2]
         at = points[down, :2] + way[:, None] * directions[down, :2]
         near = np.sum(np.square(at), axis=1) <= reach**2
-        return down[near & (way < distance[down] + 10.0 * self._obstacles.off_mm)]
+        return np.asarray(down[near & (way < distance[down] + 10.0 * self._obstacles.off_mm)])
 
     def _mirrored_again(
         self, points: Array, directions: Array, distance: Array, met: Indices

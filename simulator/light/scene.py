@@ -7,6 +7,7 @@ irradiance there at normal incidence is 1.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -198,7 +199,7 @@ class SphericalMirror:
         """Height of the cap."""
         radius = abs(self.radius_mm)
         # Not a difference of large numbers.
-        return self.rim_mm**2 / (radius + np.sqrt(radius**2 - self.rim_mm**2))
+        return self.rim_mm**2 / (radius + math.sqrt(radius**2 - self.rim_mm**2))
 
     @property
     def area_mm2(self) -> float:

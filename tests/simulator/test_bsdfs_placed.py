@@ -89,7 +89,7 @@ class At:
 
         return self.bsdf.pdf(self.mi.BSDFContext(), self.meet(wi, dr.width(wo)), wo)
 
-    def f_r(self, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    def f_r(self, wi: Any, wo: Any) -> Any:
         """f_r (N, 3) of light from wi seen from wo, both (N, 3)."""
         mi = self.mi
         si = self.meet(wo.T.astype(np.float32), len(wo))
@@ -111,7 +111,8 @@ def test_every_registered_bsdf_has_its_tests(monkeypatch: pytest.MonkeyPatch) ->
 
     class Told:
         def __init__(self, mi: Any) -> None:
-            self.mi, self.names = mi, []
+            self.mi = mi
+            self.names: list[str] = []
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self.mi, name)
@@ -134,12 +135,13 @@ def test_directions_follow_their_density(
     mi: Any, line: str, theta_deg: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Would catch axes turned one way only, a relief that the density does not know, shares mixed up."""
-    from mitsuba.chi2 import ChiSquareTest, SphericalDomain
+    from mitsuba import chi2
 
+    chi_square_test: Any = chi2.ChiSquareTest
     monkeypatch.chdir(tmp_path)  # a failed test leaves its tables there
     at, wi = At(mi, line), from_angle(theta_deg)
-    test = ChiSquareTest(
-        SphericalDomain(),
+    test = chi_square_test(
+        chi2.SphericalDomain(),
         lambda sample: at.sample(sample, wi),
         lambda wo: at.density(wo, wi),
         3,

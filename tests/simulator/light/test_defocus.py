@@ -18,7 +18,7 @@ from simulator.light.scene import Event, Scene
 from simulator.light.surface_light import SurfaceLight
 from simulator.materials import parse_material
 
-ANGLES = np.radians([-20.0, 15.0, 55.0, 0.0])
+ANGLES: Any = np.radians([-20.0, 15.0, 55.0, 0.0])
 
 
 def rig_with(focus_mm: float = 0.0, aperture_mm: float = 10.0) -> Rig:
@@ -94,7 +94,9 @@ def test_a_pattern_out_of_focus_is_mitsubas(vector: Any, focus_mm: float) -> Non
     rig = rig_with(focus_mm, aperture_mm=24.0)
     material = parse_material("lambert:kd=0.8@checker:side_mm=9,kd=0.1")
     scene = Scene(rig, material, frozenset({Event.LAMBERTIAN}))
-    own, other = (closed_form_reflectance(m) for m in (material, material.mounting.pattern.other))
+    pattern = material.mounting.pattern
+    assert pattern is not None
+    own, other = (closed_form_reflectance(m) for m in (material, pattern.other))
     found = SurfaceLight(scene, own, other).render(ANGLES, 5e-3)
     traced = ThinLens(vector, scene, 256).estimate(ANGLES, 8)
     on = traced.mean[..., 0] > 0.0

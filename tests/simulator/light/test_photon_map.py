@@ -25,7 +25,7 @@ from simulator.materials import parse_material
 if TYPE_CHECKING:
     from simulator.light.scene import Mirror
 
-ANGLES = np.radians([30.0, 20.0, 15.0, 0.0])
+ANGLES: Any = np.radians([30.0, 20.0, 15.0, 0.0])
 BOUNCED = LightPaths("LS+DE")
 LAMP = np.array([0.0, 0.0, 500.0])
 PLANE = PlanarMirror((-80.0, 0.0, 0.0), (0.0, 600.0, 0.0), (0.0, 0.0, 600.0), 0.9)
@@ -110,7 +110,7 @@ class TestClosedForm:
         """Would catch a density that is not light over area: a ring eight times as bright as its middle."""
         what = scene(FOLD, lamp_cosine=False)
         pixels = pixel_geometry(what.rig, np.zeros(4))
-        radiance = photon_map(vector, what).render(np.zeros(4), 0.1).radiance[pixels.on_sample][:, 0]
+        radiance = photon_map(vector, what).render((0.0,) * 4, 0.1).radiance[pixels.on_sample][:, 0]
         angle = np.linspace(0.0, Rays(FOLD).widest, 200_001)
         flux = 0.8 * what.lamp_intensity * 2.0 * np.pi * -np.diff(np.cos(angle))
         edges = np.arange(0.0, 20.0)
@@ -213,14 +213,17 @@ class TestChoice:
         assert once.name == "LSDlE"
         assert [method.name for method in chooser.able(once)] == [PhotonMapMethod.name]
         decision = chooser.decide(ANGLES)
-        assert decision.by(once).method.name == PhotonMapMethod.name
-        assert decision.by(direct).method.name != PhotonMapMethod.name
+        by = {path_class: part.method.name for part in decision.parts for path_class in part.classes}
+        assert by[once] == PhotonMapMethod.name
+        assert by[direct] != PhotonMapMethod.name
 
     def test_planar_mirrors_keep_their_virtual_lights(self, scalar: Any) -> None:
         """Would catch photons where images are exact."""
         chooser = Chooser(scalar, scene(PLANE), 0.05, METHODS)
         once = next(path_class for path_class in chooser.classes if path_class.name == "LSDlE")
-        assert chooser.decide(ANGLES).by(once).method.name == "virtual lights"
+        part = chooser.decide(ANGLES).by(once)
+        assert part is not None
+        assert part.method.name == "virtual lights"
 
 
 @pytest.mark.parametrize(

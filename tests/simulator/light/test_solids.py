@@ -25,7 +25,7 @@ from simulator.light.scene import Event, Scene
 from simulator.light.solids import SolidsLight
 from simulator.materials import parse_material
 
-ANGLES = np.radians([-30.0, 0.0, 40.0, 0.0])
+ANGLES: Any = np.radians([-30.0, 0.0, 40.0, 0.0])
 SMALL = Camera(width_px=64, height_px=48, focal_length_px=800.0, principal_point_px=(31.5, 23.5))
 PAINT = "lambert:kd=0.5"
 
