@@ -150,7 +150,7 @@ class Detours:
         if not both.clear[1]:
             return self._clearance.describe(both, 1)
         if not both.clear[0]:
-            return f"the arms stand too close already: {self._clearance.describe(both, 0)}"
+            return f"the arms stand too close already, part them by hand: {self._clearance.describe(both, 0)}"
         blocked = self._clearance.moves(start[None], end[None])
         return f"no way round was found: on the direct one {self._clearance.describe(blocked, 0)}"
 
