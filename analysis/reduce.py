@@ -208,7 +208,11 @@ def assemble(
         u_joint_rad=joint_resolution(rig),
         joint_group=np.repeat(np.array([pose.ticks for pose in poses]), counts, axis=0),
     )
-    samples.attrs |= {f"option_{name}": value for name, value in asdict(options).items()}
+    # NetCDF knows no booleans.
+    samples.attrs |= {
+        f"option_{name}": int(value) if isinstance(value, bool) else value
+        for name, value in asdict(options).items()
+    }
     samples.attrs |= _totals("pixels", [part.pixel_flags for part in parts])
     samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])
     samples.attrs |= dict(provenance or {})

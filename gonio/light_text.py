@@ -96,7 +96,7 @@ def _print_explained(pose: dict[str, Any], tolerance: float) -> None:
 def _print_solids(solids: dict[str, Any]) -> None:
     if solids["bound"] == 0.0 and not solids["shadow"]:
         return
-    what = "skipped"
+    what = "skipped" if solids["followed"] else "left out: the rig file's twin.solids is false"
     if solids["method"]:
         what = solids["method"]
         if solids["seconds"] is not None:

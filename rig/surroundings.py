@@ -53,6 +53,9 @@ class TwinLight(Part):
     mirrors: tuple[Mirror, ...] = Field(
         (), max_length=20, description="beside the sample, at most 20; they turn with it"
     )
+    solids: bool = Field(
+        False, description="whether the machine's solids shade and reflect light, at seconds a frame"
+    )
 
 
 def parse_mirror(line: str) -> PlanarMirror | SphericalMirror:

@@ -33,9 +33,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rig.description import Rig
+    from simulator.light.choice import Decision
     from simulator.light.evaluator import Evaluator, Method
     from simulator.light.path_tracer import Estimate
     from simulator.light.planner import Plan
+    from simulator.light.solids import SolidsAt
 
 Pose = tuple[float, ...]
 
@@ -122,20 +124,22 @@ def explain(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> d
     -------
     dict
         ``{"paths", "poses": [{"angles_deg", "classes": [{"paths", "bound", "method", "seconds",
-        "leaves_out"}], "skipped_bound", "solids": {"bound", "shadow", "method", "seconds"}, "reached"}]}``;
-        method is None for what is skipped, and seconds are those of all that the method computes at the pose.
-        `solids` are the machine's: what they add at most, which one casts a shadow, and how their light is
-        computed, on top of the classes or with them.
+        "leaves_out"}], "skipped_bound", "solids": {"bound", "shadow", "followed", "method", "seconds"},
+        "reached"}]}``; method is None for what is skipped, and seconds are those of all that the method
+        computes at the pose. `solids` are the machine's: what they add at most, which one casts a shadow, and
+        how their light is computed, on top of the classes or with them, if they are followed (`twin.solids`
+        of the rig file).
 
     Raises
     ------
     Refused
         No method covers the scene's light.
     """
-    planner = Planner(mi, scene, tolerance, METHODS)
+    followed = scene.rig.twin.solids
+    planner = Planner(mi, scene, tolerance, METHODS, follow_solids=followed)
     told = []
     for pose in poses:
-        plan = planner.plan(pose)
+        plan, solids = planner.plan(pose), planner.solids(pose)
         decision, rows = plan.decision, []
         for path_class, bound in zip(decision.classes, decision.bounds, strict=True):
             part = decision.by(path_class)
@@ -157,15 +161,21 @@ def explain(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> d
                 "classes": rows,
                 "skipped_bound": decision.skipped_bound,
                 "solids": {
-                    "bound": plan.solids.share,
-                    "shadow": plan.solids.shadow or None,
+                    "bound": solids.share,
+                    "shadow": solids.shadow or None,
+                    "followed": followed,
                     "method": added.method.name if added else _followed(plan),
                     "seconds": added.seconds if added else None,
                 },
-                "reached": plan.reached,
+                "reached": plan.reached and (followed or _dispensable(solids, decision, tolerance)),
             }
         )
     return {"paths": str(light_paths(scene)), "poses": told}
+
+
+def _dispensable(solids: SolidsAt, decision: Decision, tolerance: float) -> bool:
+    """Whether the solids can be left out beside what is left out already."""
+    return not solids.shadow and decision.left_out + solids.share <= tolerance
 
 
 def _followed(plan: Plan) -> str | None:

@@ -95,7 +95,12 @@ class Decision:
     @property
     def reached(self) -> bool:
         """Whether methods and skipped classes together are predicted to stay within the tolerance."""
-        return self.skipped_bound + sum(part.leaves_out for part in self.parts) <= self.tolerance
+        return self.left_out <= self.tolerance
+
+    @property
+    def left_out(self) -> float:
+        """Upper bound of the share of all that is skipped, by class or by a method."""
+        return self.skipped_bound + sum(part.leaves_out for part in self.parts)
 
     def by(self, path_class: PathClass) -> Part | None:
         """Return the part that computes a class, None if it is skipped."""

@@ -73,6 +73,8 @@ class Planner:
         As in `Chooser`.
     methods : sequence of Method
         Those to choose from.
+    follow_solids : bool
+        Whether the machine's solids take part; otherwise their light is left out, and no shadow falls.
 
     Raises
     ------
@@ -80,7 +82,16 @@ class Planner:
         Mitsuba refuses the material.
     """
 
-    def __init__(self, mi: Any, scene: Scene, tolerance: float, methods: Sequence[Method]) -> None:
+    def __init__(
+        self,
+        mi: Any,
+        scene: Scene,
+        tolerance: float,
+        methods: Sequence[Method],
+        *,
+        follow_solids: bool = True,
+    ) -> None:
+        self._follow_solids = follow_solids
         self._mi, self._scene, self._tolerance, self._methods = mi, scene, tolerance, methods
         self.chooser = Chooser(mi, scene, tolerance, methods)
         self.obstructed = replace(scene, obstructed=True)
@@ -100,14 +111,18 @@ class Planner:
         Refused
             No methods can compute what may not be skipped.
         """
-        solids, scene = self._solids.at(angles_rad), self._scene
+        if not self._follow_solids:
+            decision = self.chooser.decide(angles_rad)
+            return Plan(
+                decision, self._scene, SolidsAt(0.0, ""), None, self.obstructed, reached=decision.reached
+            )
+        solids, scene = self.solids(angles_rad), self._scene
         able = bool(self._following_able) and not scene.mirrors
         if solids.shadow and able:
             decision = self._among_solids.decide(angles_rad)
             return Plan(decision, self.obstructed, solids, None, self.obstructed, decision.reached)
         decision = self.chooser.decide(angles_rad)
-        spent = decision.skipped_bound + sum(part.leaves_out for part in decision.parts)
-        if spent + solids.share <= self._tolerance:
+        if decision.left_out + solids.share <= self._tolerance:
             return Plan(decision, scene, solids, None, self.obstructed, reached=not solids.shadow)
         if solids.share <= 0.5 * self._tolerance:
             strict = self._strict.decide(angles_rad)
@@ -123,6 +138,10 @@ class Planner:
         added = self._added(min(_ROUGHEST, 0.5 * self._tolerance / stray))
         whole = Decision(decision.classes, decision.bounds, direct.parts, (), self._tolerance)
         return Plan(whole, self._direct_scene, solids, added, self.obstructed, direct.reached)
+
+    def solids(self, angles_rad: Sequence[float]) -> SolidsAt:
+        """Tell what the machine's solids do at a pose, whether they take part or not."""
+        return self._solids.at(angles_rad)
 
     @cached_property
     def _following_able(self) -> tuple[Method, ...]:

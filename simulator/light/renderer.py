@@ -89,7 +89,8 @@ class Renderer:
             for name, material in seen.items()
         }
         self._planners = {
-            name: Planner(self._mi, scene, tolerance, METHODS) for name, scene in scenes.items()
+            name: Planner(self._mi, scene, tolerance, METHODS, follow_solids=rig.twin.solids)
+            for name, scene in scenes.items()
         }
         self._evaluators: dict[tuple[Scene, str, tuple[str, ...]], Evaluator] = {}
         self._last: tuple[tuple[str, tuple[float, ...]], Array] | None = None

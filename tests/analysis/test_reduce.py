@@ -13,6 +13,7 @@ import pytest
 from analysis.budget import budget
 from analysis.models import MODELS
 from analysis.reduce import reduce_session
+from analysis.samples import read, write
 from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
 from capture.records import PoseFlag
 from capture.session import FrameRecord, PoseRecord
@@ -122,6 +123,15 @@ def test_a_session_gives_its_surface_within_stated_noise(session: RecordedSessio
     assert list(samples["channel"].to_numpy()) == ["R", "G", "B"]
     assert abs(pull.mean()) < 0.15
     assert pull.std() == pytest.approx(1, abs=0.08)
+
+
+def test_samples_of_a_session_go_to_disk_and_back(session: RecordedSession, tmp_path: Path) -> None:
+    """Would catch a fact about the reduction that NetCDF cannot hold."""
+    samples = reduce_session(session)
+    write(samples, tmp_path / "samples.nc")
+    again = read(tmp_path / "samples.nc")
+    assert again.attrs.keys() >= samples.attrs.keys()
+    assert again["f_r"].equals(samples["f_r"])
 
 
 def test_order_of_the_records_does_not_matter(session: RecordedSession) -> None:
