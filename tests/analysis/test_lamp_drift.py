@@ -25,15 +25,19 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.render
 
 ALBEDO = 0.5
-DRIFT = 0.08
+DRIFT, EXPOSURES = 0.08, 16
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a session under a lamp that loses 5 % and more within it, the slower the more."""
+    """Return a session under a lamp that loses 5 % and more within it, a little with each exposure."""
     folder = tmp_path_factory.mktemp("drift")
     (folder / "faults.toml").write_text(
-        f'[[fault]]\nkind = "lamp-drift"\nat_exposure = 1\nfactor = {1.0 - DRIFT}\nfor_s = 5.0\n'
+        "".join(
+            f'[[fault]]\nkind = "lamp-drift"\nat_exposure = {number}\nfor_s = 0.02\n'
+            f"factor = {1.0 - DRIFT * number / EXPOSURES}\n"
+            for number in range(1, EXPOSURES + 1)
+        )
     )
     content = {
         "plan": {"name": "drift", "sample": "sample1"},
