@@ -22,6 +22,7 @@ from simulator.light.classes import light_paths
 from simulator.light.hemisphere import hemisphere
 from simulator.light.methods import METHODS
 from simulator.light.mitsuba_scene import sample_events
+from simulator.light.path_classes import PathClassesMethod
 from simulator.light.path_tracer import PathTracing
 from simulator.light.paths import LightPaths
 from simulator.light.pixelwise import PointMethod
@@ -43,8 +44,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-2
 SIDE_PX = 7
-EXACT = [method for method in METHODS if not isinstance(method, PathTracing)]
-LONG = {"radiosity of the housing", "direct light on the sample's form in float64"}
+EXACT = [method for method in METHODS if not isinstance(method, PathTracing | PathClassesMethod)]
+LONG = {"radiosity of the housing", "direct light on the sample's form in float64", "photon map"}
 """Methods that take seconds."""
 METHOD = pytest.mark.parametrize(
     "method",
