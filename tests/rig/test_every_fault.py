@@ -14,6 +14,7 @@ from capture.raw import inspect_frame
 from rig.bus import ServoBus
 from rig.description import default_rig, dump_rig, load_rig
 from rig.errors import DeviceLost, GonioError, Transient, Unsafe
+from rig.lamp import Lamp
 from rig.machine import Machine, open_machine
 from simulator.faults import SERVO, FaultKind
 from simulator.twin import Twin
@@ -116,18 +117,27 @@ def exposures(twin: Twin) -> int:
 
 
 def recover(rig: Rig, twin: Twin, done: int) -> None:
-    """Switch the ailing servo off and on, wait for what passes, bring the count of exposures to `done`."""
-    deadline = time.monotonic() + 10.0
-    while True:
-        with contextlib.suppress(GonioError), ServoBus(rig.ports.servos, rig.bus.baud) as bus:
-            bus.reboot(AILING)
-            if not bus.read(AILING, "hardware_error_status"):
-                break
+    """Switch the ailing servo off and on, wait for servo and door, bring the count of exposures to `done`."""
+    deadline = time.monotonic() + 30.0
+    while not well(rig):
         assert time.monotonic() < deadline
         time.sleep(0.2)
     while exposures(twin) < done:
+        assert time.monotonic() < deadline
         with contextlib.suppress(GonioError), open_machine(rig) as machine:
             machine.lamp.expose(0.001, "spare", dark=True)
+
+
+def well(rig: Rig) -> bool:
+    """Whether the ailing servo, started anew, reports nothing and the door is closed."""
+    with contextlib.suppress(GonioError):
+        with ServoBus(rig.ports.servos, rig.bus.baud) as bus:
+            bus.reboot(AILING)
+            if bus.read(AILING, "hardware_error_status"):
+                return False
+        with Lamp(rig.ports.lamp) as lamp:
+            return lamp.interlock_closed()
+    return False
 
 
 def test_every_kind_of_fault_is_met(twin: Twin) -> None:
