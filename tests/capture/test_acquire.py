@@ -46,21 +46,6 @@ def facts_of(session: Path) -> dict[str, Any]:
         return {"visits": journal.visits(), "shots": shots, "statistics": statistics}
 
 
-@pytest.fixture(scope="module")
-def reference(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return an uninterrupted session of the default plan."""
-    from capture.plan import plan_from
-
-    content = {
-        "plan": {"name": "brass", "sample": "sample1"},
-        "darks": {"count": 1},
-        "poses": [{"kind": "sweep", "theta_i_deg": [30], "theta_o_deg": [-30, 0, 30]}],
-    }
-    out = tmp_path_factory.mktemp("reference") / "s"
-    assert capture(plan_from(content, "test"), twin.rig, out).complete
-    return out
-
-
 def test_a_session_holds_every_pose_once(reference: Path) -> None:
     """Would catch a pose forgotten, doubled, or recorded where the arms were not."""
     with Session.open(reference) as session:

@@ -26,21 +26,6 @@ if TYPE_CHECKING:
     from simulator.twin import Twin
 
 
-@pytest.fixture(scope="module")
-def reference(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return an undisturbed session."""
-    from capture.plan import plan_from
-
-    content = {
-        "plan": {"name": "brass", "sample": "sample1"},
-        "darks": {"count": 1},
-        "poses": [{"kind": "sweep", "theta_i_deg": [30], "theta_o_deg": [-30, 0, 30]}],
-    }
-    out = tmp_path_factory.mktemp("reference") / "s"
-    assert capture(plan_from(content, "test"), twin.rig, out).complete
-    return out
-
-
 def facts_of(session: Path) -> Any:
     """Return all of a session that must not depend on pauses."""
     with Journal(session / "journal.db", read_only=True) as journal:
