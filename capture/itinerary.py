@@ -12,11 +12,12 @@ import numpy as np
 
 from capture.feasible import Feasible, Obstacles, feasible
 from capture.records import PlannedPose, Role, Visit
-from capture.route import Profile, order_by_travel, path_s
+from capture.route import order_by_travel, path_s
 from capture.travel import Travel, travel_past
 from rig.angles import direction_to_spherical, half_difference
 from rig.errors import BadInput, Refused
 from rig.kinematics import Kinematics
+from rig.motion import ServoProfile
 
 if TYPE_CHECKING:
     from capture.plan import Plan
@@ -187,7 +188,7 @@ def lay_out(plan: Plan, rig: Rig) -> Itinerary:
     wi, wo, repeats = plan.directions()
     kinematics, obstacles = Kinematics(rig), Obstacles(rig)
     found = feasible(kinematics, wi, wo, obstacles, mark=plan.plan.spoiled == "mark")
-    profile = Profile.of(rig)
+    profile = ServoProfile.of(rig)
     order = order_by_travel(found.angles_rad, profile, kinematics.park_rad)
     angles = _turned_well(kinematics, found, order, profile, obstacles)
     found = replace(found, angles_rad=angles)
@@ -255,7 +256,7 @@ def _turned_well(
     kinematics: Kinematics,
     found: Feasible,
     order: np.ndarray[Any, np.dtype[np.int64]],
-    profile: Profile,
+    profile: ServoProfile,
     obstacles: Obstacles,
 ) -> FloatArray:
     """Solve the poses again along the way: an arm may get there on another branch with less travel.

@@ -9,16 +9,17 @@ until neither gains. It is deterministic, and never slower than the order given.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from rig.motion import travel_s
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from rig.angles import FloatArray
-    from rig.description import Rig
+    from rig.motion import ServoProfile
 
     Order = npt.NDArray[np.int64]
 
@@ -35,59 +36,13 @@ _SWEEPS = 60
 _GAIN_S = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """Top speed and acceleration of each joint.
-
-    Attributes
-    ----------
-    speed_rad_s, acceleration_rad_s2 : ndarray, shape (J,)
-    """
-
-    speed_rad_s: FloatArray
-    acceleration_rad_s2: FloatArray
-
-    @classmethod
-    def of(cls, rig: Rig) -> Profile:
-        """Profile of a machine's arm joints."""
-        joints = rig.arm_joints
-        return cls(
-            np.radians([joint.speed_deg_s for joint in joints]),
-            np.radians([joint.acceleration_deg_s2 for joint in joints]),
-        )
-
-
-def travel_s(start: npt.ArrayLike, end: npt.ArrayLike, profile: Profile) -> FloatArray:
-    """Time of moves, from standing to standing.
-
-    Over a distance d at top speed v and acceleration a it is d/v + v/a, or 2 sqrt(d/a) where the way is too
-    short to reach v.
-
-    Parameters
-    ----------
-    start, end : array_like, shape (..., J)
-        Joint angles, radians.
-    profile : Profile
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Seconds, of the slowest joint.
-    """
-    way = np.abs(np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64))
-    speed, acceleration = profile.speed_rad_s, profile.acceleration_rad_s2
-    short = way < speed**2 / acceleration
-    times = np.where(short, 2.0 * np.sqrt(way / acceleration), way / speed + speed / acceleration)
-    return np.asarray(np.max(times, axis=-1))
-
-
-def path_s(angles: FloatArray, profile: Profile, start: npt.ArrayLike | None = None) -> float:
+def path_s(angles: FloatArray, profile: ServoProfile, start: npt.ArrayLike | None = None) -> float:
     """Time to visit poses in the order given.
 
     Parameters
     ----------
     angles : ndarray, shape (N, J)
-    profile : Profile
+    profile : ServoProfile
     start : array_like, shape (J,), optional
         Where the arms stand before.
 
@@ -101,13 +56,13 @@ def path_s(angles: FloatArray, profile: Profile, start: npt.ArrayLike | None = N
     return math.fsum(travel_s(angles[:-1], angles[1:], profile))
 
 
-def order_by_travel(angles: FloatArray, profile: Profile, start: npt.ArrayLike) -> Order:
+def order_by_travel(angles: FloatArray, profile: ServoProfile, start: npt.ArrayLike) -> Order:
     """Find a fast order of poses.
 
     Parameters
     ----------
     angles : ndarray, shape (N, J)
-    profile : Profile
+    profile : ServoProfile
     start : array_like, shape (J,)
         Where the arms stand before.
 
@@ -128,7 +83,7 @@ def order_by_travel(angles: FloatArray, profile: Profile, start: npt.ArrayLike) 
     return min(ways, key=lambda order: path_s(angles[order], profile, first))
 
 
-def _greedy(angles: FloatArray, profile: Profile, start: FloatArray) -> Order:
+def _greedy(angles: FloatArray, profile: ServoProfile, start: FloatArray) -> Order:
     """Go to the nearest of the poses left, the earliest of equals."""
     left = np.arange(len(angles), dtype=np.int64)
     order = np.empty(len(angles), dtype=np.int64)
@@ -141,7 +96,7 @@ def _greedy(angles: FloatArray, profile: Profile, start: FloatArray) -> Order:
     return order
 
 
-def _improve(order: Order, angles: FloatArray, profile: Profile, start: FloatArray) -> Order:
+def _improve(order: Order, angles: FloatArray, profile: ServoProfile, start: FloatArray) -> Order:
     """Improve an order piece by piece; each piece begins where the one before ends."""
     order = order.copy()
     before = start

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture.feasible import Feasible, Reason, Refusal
-from capture.route import Profile, travel_s
 from rig.detour import LEG_S, Detours
+from rig.motion import travel_s
 
 if TYPE_CHECKING:
     from rig.angles import FloatArray
     from rig.clearance import Clearance
+    from rig.motion import ServoProfile
 
     Order = np.ndarray[Any, np.dtype[np.int64]]
     Leg = tuple[int, int]
@@ -96,7 +97,7 @@ def travel_past(
     ]
     kept = np.cumsum([row not in cut_off for row in range(len(found.taken))]) - 1
     left = np.array([kept[row] for row in route], dtype=np.int64)
-    return found.without(refusals), left, ways.travel(legs, Profile.of(clearance.rig))
+    return found.without(refusals), left, ways.travel(legs, clearance.profile)
 
 
 class _Ways:
@@ -130,14 +131,14 @@ class _Ways:
         leg = leg if self._found[leg] is None else leg[::-1]
         return self._detours.why_not(self._pose(leg[0]), self._pose(leg[1]))
 
-    def travel(self, legs: list[Leg], profile: Profile) -> Travel:
+    def travel(self, legs: list[Leg], profile: ServoProfile) -> Travel:
         """Add up the ways there and back."""
         first, there = legs[:1], legs[1:]
         costs = [self._cost(some, profile) for some in (first, there, [leg[::-1] for leg in there])]
         seconds, detours = zip(*costs, strict=True)
         return Travel(*seconds, *detours)
 
-    def _cost(self, legs: list[Leg], profile: Profile) -> tuple[float, int]:
+    def _cost(self, legs: list[Leg], profile: ServoProfile) -> tuple[float, int]:
         """Seconds of legs, and how many of them go round."""
         ways = [way for leg in legs if (way := self._found[leg]) is not None]
         if not ways:

@@ -52,7 +52,12 @@ class Arms:
         """The last verified pose; None before the first move and while moving."""
 
     def move(
-        self, angles_rad: Sequence[float], station: str | None = None, *, leading: bool = False
+        self,
+        angles_rad: Sequence[float],
+        station: str | None = None,
+        *,
+        leading: bool = False,
+        slack_rad: float = math.inf,
     ) -> HeldPose:
         """Move all arms together, and the wheel if a station is named; return when they verifiably stand.
 
@@ -65,6 +70,8 @@ class Arms:
         leading : bool
             On the way to a pose, as from `lead_in`: the angles need only keep the limits, and the wheel goes
             only to where its own approach begins.
+        slack_rad : float
+            How far a joint may leave the way that was checked, see `rig.lag`; the wheel is no part of it.
 
         Raises
         ------
@@ -77,7 +84,8 @@ class Arms:
         """
         goals = self._goals(angles_rad, station, leading=leading)
         self.held = None
-        self.held = self._pose(self._servos.move(goals, cancelled=self._stopped))
+        slack = {joint.id: slack_rad / tick_rad(joint) for joint in self._rig.arm_joints}
+        self.held = self._pose(self._servos.move(goals, slack=slack, cancelled=self._stopped))
         return self.held
 
     def goal(self, angles_rad: Sequence[float], station: str | None = None) -> tuple[float, ...]:

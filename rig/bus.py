@@ -37,10 +37,13 @@ class State:
         Register name -> value.
     alert : bool
         The servo has a hardware error standing.
+    again : bool
+        Not read together with the others: its first answer was lost, and it was asked again.
     """
 
     values: Mapping[str, int]
     alert: bool
+    again: bool = False
 
     def __getitem__(self, name: str) -> int:
         return self.values[name]
@@ -203,9 +206,10 @@ class ServoBus:
         start = min(register.address for register in registers)
         length = max(register.end for register in registers) - start
         again = self.retries if retries is None else retries
-        replies = self._submit(
+        first, later = self._submit(
             lambda wire: self._read_all(wire, servo_ids, start, length, again), urgent=urgent
         )
+        replies = first | later
         lost = missing(servo_ids, replies)
         if lost and not partial:
             raise self._lost(", ".join(map(self.label, lost)), "no answer")
@@ -215,6 +219,7 @@ class ServoBus:
             states[servo_id] = State(
                 {r.name: r.decode(reply.data[r.address - start : r.end - start]) for r in registers},
                 reply.alert,
+                again=servo_id in later,
             )
         return states
 
@@ -226,15 +231,17 @@ class ServoBus:
 
     def _read_all(
         self, wire: Wire, servo_ids: Sequence[int], start: int, length: int, retries: int
-    ) -> dict[int, Reply]:
-        replies = _intact(wire.sync_read(servo_ids, start, length))
+    ) -> tuple[dict[int, Reply], dict[int, Reply]]:
+        """Who answered when all were asked, and who only when asked again."""
+        first = _intact(wire.sync_read(servo_ids, start, length))
+        later: dict[int, Reply] = {}
         for _ in range(retries):
-            lost = missing(servo_ids, replies)
+            lost = missing(servo_ids, first | later)
             if not lost:
                 break
             wire.statistics.retries += 1
-            replies |= _intact(wire.sync_read(lost, start, length))
-        return replies
+            later |= _intact(wire.sync_read(lost, start, length))
+        return first, later
 
     def _ask(
         self, action: Callable[[Wire], Reply], servo_id: int, what: str, *, urgent: bool = False

@@ -77,6 +77,12 @@ class Clearance:
         """Check moves on straight lines between poses, shapes (M, J)."""
         return sweep(self.pairs, Moves(start, end))
 
+    @property
+    def slack_rad(self) -> float:
+        """How far one joint may be off its way before a margin is used up, wherever the arms are."""
+        levers = self.pairs.levers_mm.max(axis=1, initial=0.0)
+        return float(np.min(self.pairs.margins_mm / levers, initial=np.inf))
+
     def leaving(self, angles_rad: npt.ArrayLike) -> Clearance:
         """Return the clearance for moves from a pose (J,) where the arms stand too near to each other.
 

@@ -13,6 +13,7 @@ from rig.packets import PortLost
 from rig.servo_found import HandshakeRow, ServoFound
 from rig.servo_models import MODEL_NAMES, MODELS
 from rig.ticks import rad_to_ticks, tick_rad
+from rig.trapezoid import Trapezoid
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -113,15 +114,25 @@ class ServoSpec:
         """Nearest position inside the limits: the servo refuses any other goal."""
         return min(max(ticks, self.minimum), self.maximum)
 
-    def duration_s(self, distance_ticks: float) -> float:
-        """Time of a trapezoid profile over a distance at this servo's speed and acceleration."""
+    @property
+    def speed_ticks_s(self) -> float:
+        """Top speed of the profile, ticks per second."""
         model = MODELS[self.model]
-        speed = self.velocity * model.velocity_unit_rpm / 60.0 * model.ticks_per_turn
-        acceleration = self.acceleration * model.acceleration_unit_rpm2 / 3600.0 * model.ticks_per_turn
-        distance = abs(distance_ticks)
-        if distance * acceleration <= speed * speed:
-            return 2.0 * math.sqrt(distance / acceleration)
-        return distance / speed + speed / acceleration
+        return self.velocity * model.velocity_unit_rpm / 60.0 * model.ticks_per_turn
+
+    @property
+    def acceleration_ticks_s2(self) -> float:
+        """Acceleration of the profile, ticks per second squared."""
+        model = MODELS[self.model]
+        return self.acceleration * model.acceleration_unit_rpm2 / 3600.0 * model.ticks_per_turn
+
+    def profile_over(self, distance_ticks: float) -> Trapezoid:
+        """How this servo covers a distance in ticks, either way."""
+        return Trapezoid(abs(distance_ticks), self.speed_ticks_s, self.acceleration_ticks_s2)
+
+    def duration_s(self, distance_ticks: float) -> float:
+        """Time that this servo takes over a distance."""
+        return self.profile_over(distance_ticks).duration_s
 
 
 def _counts(value: float, register: str) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from rig.arms import Arms
@@ -23,6 +22,7 @@ from rig.owner import PortOwner
 from rig.servos import Servos
 from rig.stop_report import PartStop, StopOutcome, StopReport
 from rig.supervision import Levels, Supervisor
+from rig.travel import Travel
 from rig.trigger import LampTrigger, Trigger, UsbTrigger
 from rig.watch import Watch
 
@@ -33,12 +33,8 @@ if TYPE_CHECKING:
 
     from rig.arms import HeldPose
     from rig.description import Rig
-    from rig.detour import Detours
 
 T = TypeVar("T")
-
-MOST_LEGS = 50
-"""A detour has a handful of legs; one that is longer goes in circles."""
 
 
 class Machine:
@@ -110,6 +106,7 @@ class Machine:
         self.handshake: Handshake = servos.attach()
         self._servos = servos
         self.arms = Arms(rig, servos, self._stopped.is_set)
+        self._travel = Travel(rig, self.arms)
         self.supervisor = Supervisor(rig, bus)
         ids = [spec.servo_id for spec in specs]
         watch = Watch(self.lamp, bus, ids, door_matters=self._door_matters, condemn=self.condemn)
@@ -156,41 +153,7 @@ class Machine:
         As `Arms.move`; after `Unsafe` and `DeviceLost` the machine is stopped.
         """
         self._require_running()
-        return self._guarded(lambda: self._move(angles_rad, station))
-
-    def _move(self, angles_rad: Sequence[float], station: str | None) -> HeldPose:
-        goal = self.arms.goal(angles_rad, station)
-        lead = self.arms.lead_in(goal, station)
-        if lead is None:
-            return self._travel(goal, station)
-        stood = self._travel(lead, station, leading=True).angles_rad
-        if self.rig.solids and len(self._detours.way(stood, goal)) > 1:
-            raise Refused(
-                "solids are in the way of the one-sided approach to this pose",
-                where="move",
-                todo="choose another pose, or another approach in the rig file; 'gonio rig show' draws it",
-            )
-        return self.arms.move(goal, station)
-
-    def _travel(self, goal: Sequence[float], station: str | None, *, leading: bool = False) -> HeldPose:
-        """Go to a pose, round what is in the way."""
-        if not self.rig.solids:
-            return self.arms.move(goal, station, leading=leading)
-        way = self._detours.way(self.arms.measure().angles_rad, goal)
-        for _ in range(MOST_LEGS):
-            if len(way) == 1:
-                return self.arms.move(goal, station, leading=leading)
-            stood = self.arms.move(way[0], leading=True).angles_rad
-            way = self._detours.onward(stood, way[1:])
-        raise Refused("the way round does not end", where="move", todo="park the arms, then move again")
-
-    @cached_property
-    def _detours(self) -> Detours:
-        """Ways between poses; made at the first move, so that opening stays quick."""
-        from rig.clearance import Clearance
-        from rig.detour import Detours
-
-        return Detours(Clearance(self.rig))
+        return self._guarded(lambda: self._travel.move(angles_rad, station))
 
     def park(self) -> HeldPose:
         """Light off for good, then every arm to its `park_deg`.

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.handshake import ServoSpec
-from rig.servo_models import MODELS
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from rig.angles import FloatArray
     from rig.convex import IntArray
     from rig.description import Rig
@@ -36,13 +37,35 @@ class ServoProfile:
     def of(cls, rig: Rig) -> ServoProfile:
         """Profiles as they are written to the servos of the arms, in whole counts."""
         specs = [ServoSpec.of(joint) for joint in rig.arm_joints]
-        models = [MODELS[spec.model] for spec in specs]
-        turn_rad = [np.radians(s.tick_deg) * m.ticks_per_turn for s, m in zip(specs, models, strict=True)]
-        speed = [s.velocity * m.velocity_unit_rpm / 60.0 for s, m in zip(specs, models, strict=True)]
-        acceleration = [
-            s.acceleration * m.acceleration_unit_rpm2 / 3600.0 for s, m in zip(specs, models, strict=True)
-        ]
-        return cls(np.multiply(speed, turn_rad), np.multiply(acceleration, turn_rad))
+        tick_rad = np.radians([spec.tick_deg for spec in specs])
+        return cls(
+            np.array([spec.speed_ticks_s for spec in specs]) * tick_rad,
+            np.array([spec.acceleration_ticks_s2 for spec in specs]) * tick_rad,
+        )
+
+
+def travel_s(start: npt.ArrayLike, end: npt.ArrayLike, profile: ServoProfile) -> FloatArray:
+    """Time of moves, from standing to standing.
+
+    Over a distance d at top speed v and acceleration a it is d/v + v/a, or 2 sqrt(d/a) where the way is too
+    short to reach v.
+
+    Parameters
+    ----------
+    start, end : array_like, shape (..., J)
+        Joint angles, radians.
+    profile : ServoProfile
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Seconds, of the slowest joint.
+    """
+    way = np.abs(np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64))
+    speed, acceleration = profile.speed_rad_s, profile.acceleration_rad_s2
+    short = way < speed**2 / acceleration
+    times = np.where(short, 2.0 * np.sqrt(way / acceleration), way / speed + speed / acceleration)
+    return np.asarray(np.max(times, axis=-1))
 
 
 class Moves:

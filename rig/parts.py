@@ -215,6 +215,13 @@ class Clearance(Part):
         le=10_000,
         description="least distance of solids that move past each other, 0.1 to 10000 mm",
     )
+    lag_deg: float = Field(
+        0.0,
+        ge=0,
+        le=360,
+        description="a joint that is farther than this off the way that was checked stops all arms, "
+        "0 to 360 degrees; 0: what margin_mm allows where there are solids",
+    )
 
 
 class Supervision(Part):

@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.route import PIECE, Profile, order_by_travel, path_s, travel_s
+from capture.route import PIECE, order_by_travel, path_s
+from rig.motion import ServoProfile, travel_s
 
 if TYPE_CHECKING:
     from rig.angles import FloatArray
 
-PROFILE = Profile(np.radians([60.0, 60.0, 30.0]), np.radians([120.0, 120.0, 240.0]))
+PROFILE = ServoProfile(np.radians([60.0, 60.0, 30.0]), np.radians([120.0, 120.0, 240.0]))
 START = np.zeros(3)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import rig.servos
+import rig.arrival
 from rig.bus import ServoBus
 from rig.description import default_rig
 from rig.errors import Unsafe
@@ -85,7 +85,7 @@ def test_an_arm_that_creeps_is_given_up_at_a_deadline_from_distance_and_profile(
     attached: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Would catch a wait without an end for an arm that always comes a little closer."""
-    monkeypatch.setattr(rig.servos, "MARGIN_S", 0.2)
+    monkeypatch.setattr(rig.arrival, "MARGIN_S", 0.2)
     bench, servos = attached(speed=1.0)
     bench.servos[1].hinder(0.1, time.monotonic(), math.inf)
     for distance in (40, 160):
@@ -102,7 +102,7 @@ def test_a_steady_error_beyond_the_tolerance_is_no_arrival_and_one_inside_is_rec
     attached: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Would catch a goal that is recorded where the arm stands elsewhere."""
-    monkeypatch.setattr(rig.servos, "STALL_S", 0.1)
+    monkeypatch.setattr(rig.arrival, "STALL_S", 0.1)
     for tolerance, arrives in ((3, False), (12, True)):
         specs = [replace(spec, tolerance=tolerance) for spec in SPECS]
         bench, servos = attached(specs=specs)

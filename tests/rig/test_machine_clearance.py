@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_the_arms_go_round_what_is_in_their_way(moving_twin: Twin, moving_rig: R
         stops = [np.array(machine.move(BEFORE).angles_rad)]
         move = machine.arms.move
 
-        def spied(angles_rad: tuple[float, ...], station: str | None = None, **how: bool) -> object:
+        def spied(angles_rad: tuple[float, ...], station: str | None = None, **how: Any) -> object:
             held = move(angles_rad, station, **how)
             stops.append(np.array(held.angles_rad))
             return held

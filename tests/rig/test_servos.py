@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import rig.servos
+import rig.arrival
 from rig.bus import ServoBus
 from rig.control_table import CONTROL_TABLE, HardwareError
 from rig.description import Joint, default_rig
@@ -264,7 +264,7 @@ def test_a_lost_goal_is_sent_again(body: Callable[..., Body]) -> None:
 
 def test_a_stuck_axis_is_named(body: Callable[..., Body], monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches an image of a pose that was never reached."""
-    monkeypatch.setattr(rig.servos, "STALL_S", 0.1)
+    monkeypatch.setattr(rig.arrival, "STALL_S", 0.1)
     one = body()
     one.servos.attach()
     freeze(one, 2)
