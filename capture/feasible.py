@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.angles import direction_to_spherical
+from rig.approach import leads_rad
 from rig.clearance import Clearance
 from rig.errors import Refused
 from rig.shadows import Shadows
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rig.angles import FloatArray
     from rig.description import Rig
     from rig.kinematics import Kinematics
+    from rig.swept import Sweep
 
 _AT_HORIZON = 1e-9
 
@@ -149,7 +151,7 @@ class Obstacles:
             Why each is refused or spoiled, in a word and in a line; None where it is neither.
         """
         found: list[tuple[Reason, str] | None] = [None] * len(angles_rad)
-        near, sight = self.clearance.poses(angles_rad), self.shadows.at(angles_rad)
+        near, sight = self._near(angles_rad), self.shadows.at(angles_rad)
         for pose in np.flatnonzero(~(near.clear & sight.clear)):
             if not near.clear[pose]:
                 found[pose] = Reason.CLEARANCE, self.clearance.describe(near, int(pose))
@@ -161,6 +163,16 @@ class Obstacles:
                 found[pose] = Reason.HIDDEN, f"{name} would hide the sample from the camera"
             else:
                 found[pose] = Reason.LAMP_IN_VIEW, "the lamp would shine into the camera's frame"
+        return found
+
+    def _near(self, angles_rad: FloatArray) -> Sweep:
+        """Check poses and, where joints come from one side only, the last push to each."""
+        found = self.clearance.poses(angles_rad)
+        for leads in leads_rad(self.clearance.rig, angles_rad):
+            left = np.flatnonzero(found.clear)
+            push = self.clearance.moves(leads[left], angles_rad[left])
+            found.clear[left], found.pair[left] = push.clear, push.pair
+            found.angles_rad[left] = push.angles_rad
         return found
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rig.approach import comes_from_its_side, lead_ticks
 from rig.errors import BadInput, Refused
 from rig.ticks import rad_to_ticks, tick_rad, ticks_to_rad
 
@@ -102,9 +103,6 @@ class Arms:
     def lead_in(self, angles_rad: Sequence[float], station: str | None = None) -> tuple[float, ...] | None:
         """Where a one-sided approach to a pose begins; None where every joint comes from its side anyway.
 
-        Backlash leaves a shaft between two ends of its play; a joint that is always pushed the same way last
-        stands at the same end, whatever it did before.
-
         Raises
         ------
         BadInput, Refused
@@ -119,13 +117,13 @@ class Arms:
         wrong = [
             joint
             for joint in self._rig.joints
-            if joint.id in goals and not _comes_from_its_side(joint, present[joint.id], goals[joint.id])
+            if joint.id in goals and not comes_from_its_side(joint, present[joint.id], goals[joint.id])
         ]
         if not wrong:
             return None
         ids = {joint.id for joint in wrong}
         return tuple(
-            ticks_to_rad(joint, _lead_ticks(joint, goals[joint.id]) if joint.id in ids else goals[joint.id])
+            ticks_to_rad(joint, lead_ticks(joint, goals[joint.id]) if joint.id in ids else goals[joint.id])
             for joint in self._rig.arm_joints
         )
 
@@ -175,7 +173,7 @@ class Arms:
                 raise BadInput(f"no station {station!r}", where="pose", todo=f"stations are {known}")
             angle_rad = math.radians(self._rig.stations[station].angle_deg)
             ticks = _goal_ticks(wheel, angle_rad, wheel.reach_deg)
-            goals[wheel.id] = _lead_ticks(wheel, ticks) if leading else ticks
+            goals[wheel.id] = lead_ticks(wheel, ticks) if leading else ticks
         return goals
 
     def _pose(self, present: dict[int, int]) -> HeldPose:
@@ -205,17 +203,3 @@ def _goal_ticks(joint: Joint, angle_rad: float, allowed_deg: tuple[float, float]
             todo="choose another pose, or change limits_deg in the rig file if the machine can do it",
         )
     return rad_to_ticks(joint, angle_rad)
-
-
-def _lead_ticks(joint: Joint, goal: int) -> int:
-    """Where a joint's approach to a goal begins: the goal itself for a direct one."""
-    overshoot = math.ceil(math.radians(joint.overshoot_deg) / tick_rad(joint))
-    sign = {"direct": 0, "from_below": -1, "from_above": 1}[joint.approach]
-    low, high = sorted(rad_to_ticks(joint, math.radians(limit)) for limit in joint.limits_deg)
-    return min(max(goal + sign * overshoot, low), high)
-
-
-def _comes_from_its_side(joint: Joint, present: int, goal: int) -> bool:
-    """Whether a direct move of a joint is a one-sided approach already, long enough to take up its play."""
-    lead = _lead_ticks(joint, goal)
-    return lead == goal or (present - lead) * (lead - goal) >= 0

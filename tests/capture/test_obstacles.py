@@ -12,6 +12,7 @@ from capture.itinerary import lay_out
 from capture.plan import plan_from
 from capture.poses import listed
 from capture.travel import travel_past
+from rig.approach import leads_rad
 from rig.clearance import Clearance
 from rig.description import Box, Camera, Capsule, Rig, Sphere
 from rig.description import default_rig as describe
@@ -192,3 +193,34 @@ def test_a_machine_without_solids_takes_what_it_took(spoiled: str) -> None:
     found = lay_out(plan_of(poses, spoiled=spoiled), describe(solids=())).feasible
     assert found.counts == {Reason.SEPARATION: 1}
     assert not found.marks
+
+
+def one_sided(approach: str, **limits_deg: tuple[float, float]) -> Rig:
+    """Return the default machine, its camera's elevation approached from one side, with other limits."""
+    rig = describe()
+    changes: dict[str, dict[str, Any]] = {name: {"limits_deg": limits} for name, limits in limits_deg.items()}
+    changes.setdefault("camera_elevation", {}).update(approach=approach, overshoot_deg=22.0)
+    joints = tuple(joint.model_copy(update=changes.get(joint.name, {})) for joint in rig.joints)
+    return rig.model_copy(update={"joints": joints})
+
+
+@pytest.mark.parametrize(
+    ("approach", "takes"), [("direct", True), ("from_above", True), ("from_below", False)]
+)
+def test_the_last_push_to_a_pose_is_checked_with_it(approach: str, takes: bool) -> None:
+    """Catches a plan that is refused the one-sided approach to a pose hours later, by the machine."""
+    rig = one_sided(approach, camera_elevation=(-1.0, 85.0), camera_azimuth=(-60.0, 60.0))
+    found = lay_out(plan_of([[0.0, 0.0, 25.0, 0.0], [0.0, 0.0, 60.0, 0.0]], refused="skip"), rig).feasible
+    assert list(found.taken) == ([0, 1] if takes else [1])
+    assert found.counts == ({} if takes else {Reason.CLEARANCE: 1})
+
+
+@pytest.mark.parametrize(
+    ("approach", "side", "lead_deg"), [("from_below", -1, -47.0), ("from_above", 1, 47.0)]
+)
+def test_the_side_with_room_for_the_last_push_is_taken(approach: str, side: int, lead_deg: float) -> None:
+    """Catches a pose given up, or met from the side on which its approach is blocked."""
+    rig = one_sided(approach)
+    angles = lay_out(plan_of([[0.0, 0.0, 25.0, 0.0]]), rig).feasible.angles_rad
+    assert angles[0, 2] == pytest.approx(np.radians(side * 25.0))
+    assert np.degrees(leads_rad(rig, angles)[:, 0, 2]) == pytest.approx([lead_deg], abs=0.1)
