@@ -100,9 +100,9 @@ def _radiosity(mi: Any, scene: Scene) -> tuple[Array, Array]:
     for level in LEVELS:
         times = []
         for _ in range(REPEATS):
-            start = time.perf_counter()
+            start = time.process_time()
             picture = method.picture(frames.light_mm, frames.camera_mm, places, level)[0]
-            times.append(time.perf_counter() - start)
+            times.append(time.process_time() - start)
         means.append(picture.mean())
         seconds.append(min(times))
     # A pose goes through all levels below.
@@ -117,9 +117,9 @@ def _path(mi: Any, scene: Scene) -> Traced:
     light.estimate(angles, 2)  # compiles
     whole = PathLight(mi, scene, last=DEEPEST, samples_per_pixel=PATH_SAMPLES)
     whole.estimate(angles, 2)
-    start = time.perf_counter()
+    start = time.process_time()
     whole.estimate(angles, PATH_RENDERS)
-    seconds = (time.perf_counter() - start) / PATH_RENDERS
+    seconds = (time.process_time() - start) / PATH_RENDERS
     # Its direct light, which it renders as well, is left out of its noise.
     found = light.estimate(angles, PATH_RENDERS)
     mean = float(found.mean[lit].mean())
