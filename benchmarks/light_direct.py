@@ -4,7 +4,8 @@ Errors are RMS over pixels spread over the sample, relative to their mean radian
 form: at the pixels' centres under a point, as the mean over 64 nodes of the lamp's disc, or as the mean over
 4096 nodes of lamp, pixel and pupil together. Efficiency is 1/(MSE t) with t the time of one pose asked for on
 its own, from joint angles to a NumPy image, in processor seconds of all threads. Both sides of a ratio take
-turns, so that a busy machine slows down both. Half of the poses are in and around the mirror direction, the others anywhere up to 70 degrees.
+turns, so that a busy machine slows down both. Half of the poses are in and around the mirror direction, the
+others anywhere up to 70 degrees.
 """
 
 from __future__ import annotations
