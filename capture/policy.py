@@ -61,8 +61,8 @@ POLICY: tuple[Rule, ...] = (
     Rule(
         Unsafe,
         "unsafe",
-        "an arm that stalls, leaves its place or reports an error, an open door, light that stays on, "
-        "a level that does not settle",
+        "an arm that stalls, leaves its place or the way that was checked, or reports an error, "
+        "an open door, light that stays on, a level that does not settle",
         1,
         Then.STOP,
     ),
