@@ -24,7 +24,8 @@ Written by `python -m benchmarks.light_page docs numbers.json` from what `gonio 
 docs/light` printed. Errors are RMS over the sample's pixels relative to their mean radiance. Times are
 processor times, of all threads together, on two cores that other programs shared: trust ratios, whose sides
 took turns. How methods are chosen, and what they leave out, is in
-[decision 5](decisions/0005-light-methods.md); what is computed for a scene of yours, and how much each kind of light is, is told by
+[decision 5](decisions/0005-light-methods.md); what is computed for a scene of yours, and how much each kind
+of light is, is told by
 
     gonio sim --explain --material cook-torrance:kd=0.3,ks=0.5,m=0.2,ior=1.5 --housing-albedo 0.04
     gonio sim --stray --material lambert:kd=0.05 --housing-albedo 0.04
@@ -43,8 +44,8 @@ _TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     ),
     "light_methods": (
         "Every method",
-        "Scenes that need different methods, each by every method that can, at several tolerances. What of the "
-        "light is not a method's own is computed as the choice would.",
+        "Scenes that need different methods, each by every method that can, at several tolerances. What of "
+        "the light is not a method's own is computed as the choice would.",
         ("light_methods.png", "Error against time of every method, scene by scene; the chosen ones in rings"),
     ),
     "light_direct": (
