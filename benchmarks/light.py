@@ -3,7 +3,8 @@
 The parts can be run alone: light_mirror (light thrown by a mirror), light_caustics (by a hollow one),
 light_bsdfs (every model in single precision), light_housing (stray light), light_demo (the demo's light
 against path tracing), light_modes (scalar and LLVM alike), light_direct (lamps, pixels and a pupil with
-sizes), light_chooser (the choice of methods over scenes drawn from a seed).
+sizes), light_methods (every method in scenes that need different ones), light_chooser (the choice of methods
+over scenes drawn from a seed).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ PARTS = (
     "light_demo",
     "light_modes",
     "light_direct",
+    "light_methods",
     "light_chooser",
 )
 """Modules beside this one, quick ones first."""
