@@ -1,9 +1,9 @@
 """Error against time of every method, in scenes that need different ones; the chosen one at each tolerance.
 
 Each scene is rendered at several tolerances in every way that skips no more than the choice does: by one
-method alone, or with its direct light as the choice would compute it and the rest by every method that can. Ways that would take longer
-than a given time are left out. Truth is that of `benchmarks.light_truth`; times are processor times of one
-pose, its kernels compiled.
+method alone, or with its direct light as the choice would compute it and the rest by every method that can.
+Ways that would take longer than a given time are left out. Truth is that of `benchmarks.light_truth`; times
+are processor times of one pose, its kernels compiled.
 """
 
 from __future__ import annotations
