@@ -21,6 +21,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
+WAIT_S = 30.0
+"""How long a test waits for what must come: much longer than it takes on the slowest computer."""
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait until something holds: as long as this computer takes, however busy it is."""
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come"
+        time.sleep(0.005)
+
+
 class Bench:
     """A device on a pseudo-terminal: what it hears, what it says, and what a fault makes of it."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +9,17 @@ import pytest
 
 from rig.bus import ServoBus
 from rig.bus_watchdog import TRIPPED, armed, disarm
+from rig.control_table import CONTROL_TABLE
 from rig.description import default_rig
 from rig.errors import Refused
 from rig.handshake import ServoSpec
 from rig.servos import Servos
+from tests.rig.conftest import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+GOAL_WRITE = bytes([0x83, CONTROL_TABLE["goal_position"].address, 0, 4, 0])
 SPECS = tuple(ServoSpec.of(joint) for joint in default_rig().joints[:3])
 
 
@@ -46,14 +48,13 @@ def test_armed_during_a_move_and_not_after(bench: Any, bus: ServoBus) -> None:
     assert values(bench) == [0, 0, 0]
     seen: list[int] = []
 
-    def watch() -> None:
-        time.sleep(0.05)
-        seen.extend(values(bench))
+    def watch(request: bytes, reply: bytes) -> bytes:
+        if GOAL_WRITE in request:
+            seen.extend(values(bench))
+        return reply
 
-    watcher = threading.Thread(target=watch)
-    watcher.start()
+    bench.says = watch
     servos.move({1: 2100})
-    watcher.join()
     assert seen == [25, 25, 25]
     assert values(bench) == [0, 0, 0]
     time.sleep(0.6)
@@ -63,11 +64,11 @@ def test_armed_during_a_move_and_not_after(bench: Any, bus: ServoBus) -> None:
 def test_a_program_that_dies_on_the_way_stops_the_arm(bench: Any, bus: ServoBus) -> None:
     """Catches an arm that goes on to its goal though nobody looks any more."""
     Servos(bus, SPECS).attach()
-    bus.sync_write("bus_watchdog", dict.fromkeys((1, 2, 3), 5))
-    bus.write(1, "goal_position", 3000)
-    time.sleep(0.3)
+    bus.sync_write("bus_watchdog", dict.fromkeys((1, 2, 3), 40))
+    bus.write(1, "goal_position", 2900)
+    until(lambda: bench.servos[1].shaft_ticks(time.monotonic()) and values(bench)[0] == TRIPPED)
     here = bench.servos[1].shaft_ticks(time.monotonic())
-    assert 2048 < here < 2900
+    assert 2048 < here < 2800
     time.sleep(0.1)
     assert bench.servos[1].shaft_ticks(time.monotonic()) == here
 

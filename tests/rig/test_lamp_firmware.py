@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from rig.errors import Unsafe
 from rig.lamp import Lamp
 from rig.stop_report import StopOutcome
+from tests.rig.conftest import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,8 +41,7 @@ def test_a_killed_program_leaves_the_dark(lamp_bench: Callable[..., Any]) -> Non
         lamp.on()
         assert bench.light
         lamp._heart_stop.set()
-        time.sleep(0.5)
-        assert not bench.light
+        until(lambda: not bench.light)
 
 
 def test_an_opened_door_ends_the_exposure(lamp_bench: Callable[..., Any]) -> None:

@@ -21,6 +21,7 @@ from rig.errors import Refused
 from rig.owner import Lock, PortOwner, is_alive, lock_path, request_stop
 from rig.stop_report import PartStop, StopOutcome, StopReport
 from simulator.twin import Twin
+from tests.rig.conftest import WAIT_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,7 +70,7 @@ def start_moving(twin: Twin) -> subprocess.Popen[str]:
     )
     assert client.stdout is not None
     assert client.stdout.readline() == "ready\n"
-    time.sleep(0.5)
+    until(lambda: any(GOAL_SYNC_WRITE in event.get("data", "") for event in twin.wire_log()))
     return client
 
 
@@ -160,7 +161,7 @@ def test_a_running_process_is_stopped_from_outside(slow_twin: Twin) -> None:
     since = time.monotonic()
     report = request_stop(load_rig(slow_twin.rig))
     assert report.outcome is StopOutcome.CONFIRMED, report.details
-    output, _ = client.communicate(timeout=10)
+    output, _ = client.communicate(timeout=WAIT_S)
     assert "stopped" in output
     assert_dark_and_still(slow_twin, since)
 
@@ -170,7 +171,7 @@ def test_a_killed_process_leaves_a_machine_that_can_be_stopped(slow_twin: Twin) 
     """Catches a lock left by kill -9 that keeps everybody from stopping the arms."""
     client = start_moving(slow_twin)
     client.send_signal(signal.SIGKILL)
-    client.communicate(timeout=10)
+    client.communicate(timeout=WAIT_S)
     since = time.monotonic()
     report = request_stop(load_rig(slow_twin.rig))
     assert report.outcome is StopOutcome.CONFIRMED, report.details
@@ -186,7 +187,9 @@ def test_a_killed_process_leaves_the_dark_within_the_watchdog(slow_twin: Twin) -
     """Catches a light that burns on after kill -9."""
     client = start_moving(slow_twin)
     client.send_signal(signal.SIGKILL)
-    client.communicate(timeout=10)
-    time.sleep(2.3)
-    edges = [event["on"] for event in slow_twin.wire_log() if event.get("event") == "light"]
-    assert edges == [True, False]
+    client.communicate(timeout=WAIT_S)
+    until(
+        lambda: (
+            [event["on"] for event in slow_twin.wire_log() if event.get("event") == "light"] == [True, False]
+        )
+    )

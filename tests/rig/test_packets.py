@@ -16,6 +16,7 @@ from rig.control_table import CONTROL_TABLE, HardwareError
 from rig.errors import BadInput, DeviceLost, Refused, Transient
 from rig.packets import DeadlinePort, PortLost, Wire
 from rig.servo_models import MODELS, control_table
+from tests.rig.conftest import WAIT_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -34,7 +35,7 @@ def bench(servo_bench: Callable[..., Any]) -> Any:
 @pytest.fixture
 def wire(bench: Any) -> Iterator[Wire]:
     """Return our end of the line."""
-    wire = Wire(bench.port, timeout_s=0.1)
+    wire = Wire(bench.port, timeout_s=0.25)
     yield wire
     wire.close()
 
@@ -102,7 +103,7 @@ def test_an_alert_fails_nothing(bench: Any, wire: Wire) -> None:
     assert wire.write(2, CONTROL_TABLE["torque_enable"].address, b"\x00").error == 0
 
 
-@pytest.mark.parametrize("delay_s", [0.105, 0.15, 0.25])
+@pytest.mark.parametrize("delay_s", [0.205, 0.3, 0.5])
 def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float) -> None:
     """Catches a position that comes late and is taken for the profile's velocity, of the same length."""
 
@@ -111,12 +112,12 @@ def test_a_late_reply_never_answers_the_next_request(bench: Any, delay_s: float)
         time.sleep(delay_s)
         return reply
 
-    with ServoBus(bench.port, timeout_s=0.1, retries=0) as once:
+    with ServoBus(bench.port, timeout_s=0.2, retries=0) as once:
         once.write(1, "profile_velocity", 77)
         bench.says = late_once
         with pytest.raises(DeviceLost):
             once.read(1, "present_position")
-    with ServoBus(bench.port, timeout_s=0.1, retries=3) as bus:
+    with ServoBus(bench.port, timeout_s=0.2, retries=3) as bus:
         bench.says = late_once  # a predecessor's
         assert bus.read(1, "profile_velocity") == 77
         bench.says = late_once  # our own
@@ -131,7 +132,7 @@ def test_a_late_velocity_is_no_position(bench: Any, wire: Wire) -> None:
 
     def late_once(_request: bytes, reply: bytes) -> bytes:
         bench.says = lambda _request, reply: reply
-        time.sleep(0.15)
+        time.sleep(0.3)
         return reply
 
     bench.says = late_once
@@ -167,7 +168,7 @@ def test_waiting_does_not_spin(bench: Any) -> None:
 
 def test_the_reply_timeout_is_ours(bench: Any) -> None:
     """Catches the SDK's fixed 34 ms, which a loaded machine exceeds."""
-    wire = Wire(bench.port, timeout_s=0.5)
+    wire = Wire(bench.port, timeout_s=WAIT_S)
 
     def slow(_request: bytes, reply: bytes) -> bytes:
         time.sleep(0.2)
@@ -180,12 +181,16 @@ def test_the_reply_timeout_is_ours(bench: Any) -> None:
 
 def test_time_is_monotonic(monkeypatch: pytest.MonkeyPatch, bench: Any) -> None:
     """Catches a clock set back during a wait, which would stretch it for an hour."""
-    monkeypatch.setattr(time, "time", lambda: 0.0)
+    clock = [0.0]
+    monkeypatch.setattr(time, "time", lambda: -3600.0 * clock[0])
     port = DeadlinePort(bench.port, 1_000_000, 0.01)
-    port.setPacketTimeout(11)
-    assert not port.isPacketTimeout()
-    time.sleep(0.03)
-    assert port.isPacketTimeout()
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "monotonic", lambda: clock[0])
+        port.setPacketTimeout(11)
+        late = []
+        for clock[0] in (0.009, 0.011):
+            late.append(port.isPacketTimeout())
+    assert late == [False, True]
 
 
 def test_the_port_is_ours_alone(bench: Any, wire: Wire) -> None:
@@ -207,10 +212,9 @@ def test_an_unplugged_bus_is_lost_at_once(bench: Any) -> None:
     """Catches a cable pulled out that hangs, or raises what nobody catches."""
     with ServoBus(bench.port) as bus:
         bench.unplug()
-        began = time.monotonic()
         with pytest.raises(PortLost, match="is gone"):
             bus.read(1, "present_position")
-        assert time.monotonic() - began < 1.0
+        assert bus.statistics.retries == 0
 
 
 def test_threads_do_not_mix_replies(bench: Any) -> None:

@@ -45,7 +45,7 @@ from gonio.signals import StopRequests
 with StopRequests("frame") as requests:
     requests.on_abort(lambda: print("stopped", flush=True))
     print("ready", flush=True)
-    for _ in range(100):
+    for _ in range(600):
         time.sleep(0.1)
         if requests.abort_requested:
             break

@@ -12,12 +12,11 @@ from rig.bus import ServoBus
 from rig.control_table import CONTROL_TABLE, HardwareError
 from rig.errors import DeviceLost, GonioError, Unsafe
 from rig.lamp import Lamp
-from rig.watch import Watch
+from rig.watch import PERIOD_S, Watch
+from tests.rig.conftest import WAIT_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-WAIT_S = 5.0
 
 
 class Guarded:
@@ -25,7 +24,7 @@ class Guarded:
 
     def __init__(self, servos: Any, lamp: Any) -> None:
         self.servos, self.controller = servos, lamp
-        self.bus = ServoBus(servos.port, timeout_s=0.1)
+        self.bus = ServoBus(servos.port)
         self.lamp = Lamp(lamp.port)
         self.causes: list[GonioError] = []
         self.condemned = threading.Event()
@@ -62,9 +61,8 @@ def guarded(servo_bench: Callable[..., Any], lamp_bench: Callable[..., Any]) -> 
 
 def test_an_open_door_is_noticed_in_the_middle_of_nothing(guarded: Guarded) -> None:
     """Catches a door that only the next exposure would hear of; it is asked for four times a second."""
-    time.sleep(1.0)
-    asked = guarded.controller.lines.count("INTL?")
-    assert asked >= 4
+    until(lambda: guarded.controller.lines.count("INTL?") >= 4)
+    assert PERIOD_S <= 0.25
     guarded.controller.controller.set_interlock(False, guarded.controller.now())
     cause = guarded.cause()
     assert isinstance(cause, Unsafe)
