@@ -134,7 +134,7 @@ class Arrival:
         if self._resent >= RESEND_LIMIT:
             servo_id, goal = next(iter(goals.items()))
             raise Unsafe(
-                f"does not take the goal {goal} ticks{self._torque_hint(servo_id)}",
+                f"does not take the goal {goal} ticks{torque_hint(self._bus, servo_id)}",
                 where=self._bus.label(servo_id),
                 todo="run 'gonio rig check': its torque, mode or limits may have changed",
             )
@@ -150,9 +150,10 @@ class Arrival:
             return
         places = {i: self._specs[i].clamp(states[i]["present_position"]) for i in self._goals}
         self._bus.sync_write("goal_position", places, urgent=True)
+        behind = "" if lag.ahead is None else f"behind {self._bus.label(lag.ahead)}, "
         raise Unsafe(
-            f"is {lag.ticks * self._specs[lag.servo_id].tick_deg:.2f} degrees off the way "
-            f"that was checked for clearance{self._torque_hint(lag.servo_id)}",
+            f"is {lag.ticks * self._specs[lag.servo_id].tick_deg:.2f} degrees {behind}"
+            f"off the way that was checked for clearance{torque_hint(self._bus, lag.servo_id)}",
             where=self._bus.label(lag.servo_id),
             todo="look what holds or pushes the arm; if it only follows unevenly, raise clearance.lag_deg",
         )
@@ -166,18 +167,10 @@ class Arrival:
             short = abs(self._goals[servo_id] - positions[servo_id])
             raise Unsafe(
                 f"stands at {positions[servo_id]} ticks, goal {self._goals[servo_id]}, "
-                f"{short * spec.tick_deg:.2f} degrees short{self._torque_hint(servo_id)}",
+                f"{short * spec.tick_deg:.2f} degrees short{torque_hint(self._bus, servo_id)}",
                 where=self._bus.label(servo_id),
                 todo="look what blocks the arm; if it only sags, raise tolerance_deg",
             )
-
-    def _torque_hint(self, servo_id: int) -> str:
-        try:
-            if self._bus.read(servo_id, bus_watchdog.REGISTER) == bus_watchdog.TRIPPED:
-                return ", its bus watchdog has tripped"
-            return "" if self._bus.read(servo_id, "torque_enable") else ", its torque is off"
-        except DeviceLost:
-            return ", and it no longer answers"
 
 
 def require_healthy(bus: ServoBus, states: Mapping[int, State]) -> None:
@@ -198,3 +191,13 @@ def require_healthy(bus: ServoBus, states: Mapping[int, State]) -> None:
                 where=bus.label(servo_id),
                 todo="let it cool or free it, switch the servos off and on, then run 'gonio rig check'",
             )
+
+
+def torque_hint(bus: ServoBus, servo_id: int) -> str:
+    """Say why a servo may not move, to follow what it did not do; nothing where it could."""
+    try:
+        if bus.read(servo_id, bus_watchdog.REGISTER) == bus_watchdog.TRIPPED:
+            return ", its bus watchdog has tripped"
+        return "" if bus.read(servo_id, "torque_enable") else ", its torque is off"
+    except DeviceLost:
+        return ", and it no longer answers"

@@ -31,11 +31,15 @@ class Lag:
     ----------
     servo_id : int
     ticks : float
-        How far it is from where the others say that it should be; beyond its start or its goal, how far.
+        How far it is behind where the joint that is ahead says that it should be; beyond its start or its
+        goal, how far.
+    ahead : int or None
+        The joint that is ahead of it; perhaps that one runs too fast.
     """
 
     servo_id: int
     ticks: float
+    ahead: int | None = None
 
 
 class CheckedWay:
@@ -86,7 +90,7 @@ class CheckedWay:
         joint, position = seen[behind]
         others, place = seen[ahead]
         due = joint.profile.travelled(others.profile.reached_s(others.travelled(place)))
-        return Lag(behind, due - joint.travelled(position))
+        return Lag(behind, due - joint.travelled(position), ahead)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rig import bus_watchdog
-from rig.arrival import MOTION, Arrival, require_healthy
+from rig.arrival import MOTION, Arrival, require_healthy, torque_hint
 from rig.errors import Refused, Unsafe
 from rig.handshake import Handshake, ServoSpec, configure, shake_hands
 from rig.lag import CheckedWay
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
     from rig.bus import ServoBus, State
     from rig.stop_report import PartStop
+
+
+PROFILE = (bus_watchdog.REGISTER, "profile_acceleration", "profile_velocity")
+"""What a servo forgets when it restarts or its watchdog trips."""
 
 
 class Servos:
@@ -138,15 +142,16 @@ class Servos:
         Refused
             If a goal lies outside the limits, or the move is cancelled.
         Unsafe
-            If a servo does not take its goal, is stuck, leaves the way, stops short, or reports a hardware
-            error; the message names it.
+            If a servo has forgotten its profile, does not take its goal, is stuck, leaves the way, stops
+            short, or reports a hardware error; the message names it.
         DeviceLost
             If a servo stops answering.
         """
         for servo_id, goal in goals.items():
             self._require_inside(self.specs[servo_id], goal)
-        begin = self.bus.sync_read(self.ids, MOTION)
+        begin = self.bus.sync_read(self.ids, (*PROFILE, *MOTION))
         require_healthy(self.bus, begin)
+        self._require_profile(begin)
         start = {servo_id: begin[servo_id]["present_position"] for servo_id in goals}
         way = CheckedWay(self.specs, start, goals, slack or {})
         with bus_watchdog.armed(self.bus, self.ids, self._watchdog_s):
@@ -177,6 +182,17 @@ class Servos:
                     todo="switch the servos off and bring the arm inside by hand",
                 )
             self.bus.write(servo_id, "goal_position", spec.clamp(present))
+
+    def _require_profile(self, states: Mapping[int, State]) -> None:
+        """Pass only if nobody has forgotten how fast to go: 0 is as fast as the motor can."""
+        for servo_id, state in states.items():
+            told = self.specs[servo_id].profile | {bus_watchdog.REGISTER: 0}
+            if any(state[name] != wanted for name, wanted in told.items()):
+                raise Unsafe(
+                    f"has forgotten its speed and acceleration{torque_hint(self.bus, servo_id)}",
+                    where=self.bus.label(servo_id),
+                    todo="see to its supply and to the line; the next start sets it up anew",
+                )
 
     def _require_inside(self, spec: ServoSpec, goal: int) -> None:
         if spec.clamp(goal) != goal:

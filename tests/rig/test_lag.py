@@ -176,7 +176,7 @@ def test_a_stuck_arm_stops_the_others_while_there_is_room(stage: Callable[..., S
     blind = (BEFORE[0], *AFTER[1:])
     assert not clearance.moves(np.array([BEFORE]), np.array([blind])).clear[0]
     one.bench.soon(20, lambda now: one.bench.servos[LAMP].hinder(0.0, now, math.inf))
-    with pytest.raises(Unsafe, match=r"servo 1.* degrees off the way that was checked for clearance"):
+    with pytest.raises(Unsafe, match=r"servo 1.* degrees behind servo 3, off the way that was checked"):
         one.travel.move(AFTER)
     one.servos.halt()
     poses = one.poses()

@@ -263,6 +263,23 @@ def test_a_lost_goal_is_sent_again(body: Callable[..., Body]) -> None:
     assert lost
 
 
+@pytest.mark.parametrize("cleared", [False, True])
+def test_a_forgotten_profile_moves_nothing(body: Callable[..., Body], cleared: bool) -> None:
+    """Catches an arm at full speed: a watchdog that tripped, cleared since or not, leaves no limit."""
+    one = body()
+    one.servos.attach()
+    one.bench.servos[2].trip_watchdog(time.monotonic())
+    if cleared:
+        one.bus.write(2, "bus_watchdog", 0)
+    one.bench.heard.clear()
+    hint = "" if cleared else ".*its bus watchdog has tripped"
+    with pytest.raises(Unsafe, match=rf"servo 2 \(camera_azimuth\).*has forgotten its speed{hint}"):
+        one.servos.move({1: 2300, 2: 2500})
+    assert sync_packet("goal_position", {1: 2300, 2: 2500}) not in one.heard
+    one.servos.attach()
+    assert one.servos.move({1: 2300, 2: 2500})[2] == pytest.approx(2500, abs=1)
+
+
 def test_a_stuck_axis_is_named(body: Callable[..., Body], monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches an image of a pose that was never reached."""
     monkeypatch.setattr(rig.arrival, "STALL_S", 0.1)
