@@ -345,11 +345,10 @@ def test_a_ctrl_c_that_nobody_handles_stops_within_the_exposure(
 
         watcher = threading.Thread(target=interrupt)
         watcher.start()
-        began_s = time.monotonic()
         with pytest.raises(KeyboardInterrupt):
             capture(plan, twin.rig, out)
-        assert time.monotonic() - began_s < 15.0
         watcher.join()
+        assert not any(event.get("event") == "exposed" for event in twin.wire_log())
         assert not [event["on"] for event in twin.wire_log() if event.get("event") == "light"][-1]
     with Session.open(out) as session:
         assert [event.kind for event in session.events()][-2:] == ["interrupted", "stopped"]

@@ -68,7 +68,7 @@ def server(request: pytest.FixtureRequest) -> Iterator[tuple[Path, int | None]]:
         Path(folder).chmod(0o777)
         link = Path(folder) / "line"
         pid = fork(lambda: echo_upper(link), request.param)
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 30.0
         while not link.exists() and time.monotonic() < deadline:
             time.sleep(0.01)
         yield link, request.param
@@ -78,7 +78,7 @@ def server(request: pytest.FixtureRequest) -> Iterator[tuple[Path, int | None]]:
 
 def open_line(link: Path) -> int:
     """Open the line as a client, waiting out the moment in which it is renewed."""
-    deadline = time.monotonic() + 1.0
+    deadline = time.monotonic() + 30.0
     while True:
         try:
             return os.open(link, os.O_RDWR | os.O_NOCTTY)
@@ -88,7 +88,7 @@ def open_line(link: Path) -> int:
             time.sleep(0.001)
 
 
-def exchange(fd: int, data: bytes, wanted: int, wait_s: float = 1.0) -> bytes:
+def exchange(fd: int, data: bytes, wanted: int, wait_s: float = 30.0) -> bytes:
     """Write and read until so many bytes have come or time is up."""
     os.write(fd, data)
     received = b""
