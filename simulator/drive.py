@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rig.control_table import DriveMode, OperatingMode
+from simulator.backup import GAINS
 from simulator.motion import Motion, turn_at
 from simulator.profile import Profile
 from simulator.servo_body import Body
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
 TICKS_PER_TURN = 4096
 
 _HOMING_LIMIT_IN_ONE_TURN = 1024
-_GAINS = (
-    "velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain",
-    "feedforward_1st_gain", "feedforward_2nd_gain",
-)  # fmt: skip
 _PROFILE = ("profile_velocity", "profile_acceleration")
 _GAIN_UNIT = 128.0
 _FULL_PWM = 885.0
@@ -209,7 +206,7 @@ class Drive:
     def after_mode(self, _value: int, now: float) -> None:
         """Forget turns, gains, profile and what limits the output: a switch of the mode resets them."""
         self._forget_turns(now)
-        for name in (*_GAINS, *_PROFILE):
+        for name in (*GAINS, *_PROFILE):
             self._registers.set(name, self._registers.default(name))
         for goal in set(GOALS) & self._registers.names - {"goal_position"}:
             self._registers.set(goal, self._registers.default(goal))

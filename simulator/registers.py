@@ -38,6 +38,10 @@ class Registers:
         """Names of all registers."""
         return frozenset(self._table)
 
+    def of(self, area: Area) -> frozenset[str]:
+        """Names of the registers of an area."""
+        return frozenset(name for name, register in self._table.items() if register.area is area)
+
     def default(self, name: str) -> int:
         """Value of a register when it is new, or after power-up."""
         return self._table[name].default
@@ -49,9 +53,8 @@ class Registers:
 
     def reset(self, area: Area) -> None:
         """Bring all registers of an area to their defaults."""
-        for name, register in self._table.items():
-            if register.area is area:
-                self.set(name, register.default)
+        for name in self.of(area):
+            self.set(name, self.default(name))
 
     def places(self, address: int, length: int) -> tuple[StatusError, list[int]]:
         """Addresses that a span of bytes stands for, indirect data bytes resolved.

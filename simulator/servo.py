@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from rig.control_table import ALERT_BIT, Area, DriveMode, HardwareError, StatusError
 from rig.servo_models import MODELS, control_table
+from simulator.backup import Backup
 from simulator.drive import Drive
 from simulator.registers import Registers
 from simulator.servo_report import Report
@@ -67,6 +68,7 @@ class Servo:
     ) -> None:
         self.model = MODELS[model]
         self._registers = Registers(control_table(model))
+        self._backup = Backup(self._registers)
         self._rules = Rules(self.model, self._registers)
         self._drive = Drive(
             self.model,
@@ -183,6 +185,7 @@ class Servo:
         """Power-up: RAM at its defaults, torque off, errors cleared, turns forgotten; heat stays."""
         self._drive.halt(now)
         self._registers.reset(Area.RAM)
+        self._backup.power_up()
         self._registered, self._shut_down = None, False
         self._heard = now
         self._drive.power_up(now)
@@ -201,6 +204,13 @@ class Servo:
             self._registers.set(name, value)
         self.reboot(now)
         return StatusError.NONE
+
+    def back_up(self, parameters: bytes, now: float) -> StatusError:
+        """Store the settings, or bring them back and restart; see `simulator.backup`."""
+        error, restored = self._backup.handle(parameters)
+        if restored:
+            self.reboot(now)
+        return error
 
     def clear(self, parameters: bytes, now: float) -> StatusError:
         """Bring the reported position back into one turn; only while the shaft stands still."""

@@ -54,6 +54,7 @@ class ServoLine:
             Instruction.FACTORY_RESET: self._factory_reset,
             Instruction.REBOOT: self._reboot,
             Instruction.CLEAR: self._clear,
+            Instruction.CONTROL_TABLE_BACKUP: self._back_up,
         }
         self._group: dict[int, Callable[[bytes, float], bytes]] = {
             Instruction.SYNC_READ: self._sync_read,
@@ -143,6 +144,11 @@ class ServoLine:
         if len(parameters) != 1:
             return self._answer(servo, _ANSWERS_ALL, StatusError.DATA_LENGTH)
         error = servo.factory_reset(parameters[0], now)
+        return status(answering, error | servo.alert) if level >= _ANSWERS_ALL else b""
+
+    def _back_up(self, servo: Servo, parameters: bytes, now: float) -> bytes:
+        answering, level = servo.servo_id, servo.status_return_level
+        error = servo.back_up(parameters, now)
         return status(answering, error | servo.alert) if level >= _ANSWERS_ALL else b""
 
     def _reboot(self, servo: Servo, _parameters: bytes, now: float) -> bytes:

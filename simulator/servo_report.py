@@ -59,7 +59,6 @@ class Report:
             present_pwm=nearest(_FULL_PWM * max(min(turning + effort, 1.0), -1.0)),
             present_input_voltage=nearest(10.0 * volts),
             present_temperature=int(temperature_deg_c),
-            backup_ready=0,
         )
 
     def _write(self, **values: int) -> None:
