@@ -39,10 +39,10 @@ class Correlation(StrEnum):
     """Samples of the same frames, such as those divided by the same pixels of the white."""
 
     SESSION = "per session"
-    """Samples of one session that hold a joint at the same step, or have one drift in common."""
+    """Samples of one session that hold a joint at the same step, or have one stray light in common."""
 
     CALIBRATION = "per calibration"
-    """All samples of all sessions under one calibration."""
+    """Samples of all sessions under one calibration: all of them, or all of one place on the white."""
 
 
 NAMES = {
@@ -53,12 +53,16 @@ NAMES = {
     "reference": "reflectance of the white",
     "lamp": "drift of the lamp",
     "linearity": "linearity of the sensor",
+    "stray": "stray light",
+    "flat": "flat field",
 }
 _CLASSES = {
     "white": Correlation.FRAME,
     "reference": Correlation.CALIBRATION,
     "lamp": Correlation.FRAME,
     "linearity": Correlation.CALIBRATION,
+    "stray": Correlation.SESSION,
+    "flat": Correlation.CALIBRATION,
 }
 
 

@@ -7,19 +7,28 @@ camera does to that pixel (vignetting, gain), S = f_s E_s V and W = (rho_w / pi)
 
 where E = (d / r)^2 cos(theta_i) is the small lamp's irradiance from the pixel's own geometry (Nicodemus et
 al. 1977 for f_r = dL / dE). Where the lamp's photodiode was read for both images, X is also multiplied by the
-light's ratio L_s / L_w. V cancels because both images come from the same pixel. A light trap's image, where
-one was taken at the pose, is subtracted from both. Bins take ratios of sums of S and X (`analysis.binning`).
+light's ratio L_s / L_w. V cancels because both images come from the same pixel. Stray light, where a light
+trap showed it, is subtracted from both (`analysis.corrections`). Bins take ratios of sums of S and X
+(`analysis.binning`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.binning import Dropped, PixelSignals, bin_ratio, curvature, make_bins
+from analysis.corrections import (
+    Correction,
+    Stray,
+    lamp_drift,
+    stray_light,
+    u_stray_of,
+    without_flat_field,
+)
 from capture.merge import Flag
 from rig.pixels import irradiance, pixel_direction_derivatives, pixel_geometry
 
@@ -55,16 +64,19 @@ class Options:
         Rim of the sample that is left out: chipped edges, and the pose's own uncertainty.
     max_theta_deg : float
         Pixels seen or lit from beyond this angle from the normal are left out.
-    lamp_drift : bool
-        Whether the lamp's measured drift between white and sample is taken out. Otherwise it is part of the
-        uncertainty.
+    without : tuple of Correction
+        What is not corrected; its effect is part of the uncertainty instead.
     """
 
     bin_px: int = 8
     min_fill: float = 0.5
     edge_margin_mm: float = 0.5
     max_theta_deg: float = 85.0
-    lamp_drift: bool = True
+    without: tuple[Correction, ...] = ()
+
+    def corrects(self, correction: Correction) -> bool:
+        """Whether a correction is made."""
+        return correction not in self.without
 
 
 @dataclass(frozen=True)
@@ -99,12 +111,15 @@ class PoseImages:
     sample, white : Image
         Taken at the same pose, or a few encoder steps apart.
     trap : Image or None
-        The light trap: stray light, subtracted from both.
+        The light trap, which shows the stray light in both.
+    u_trap : float
+        Relative uncertainty of that image where it was put together from those of other poses.
     """
 
     sample: Image
     white: Image
     trap: Image | None = None
+    u_trap: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -139,9 +154,11 @@ class PoseSamples:
         Unit directions to light and camera, sample frame.
     f_r : (N, C) float
         BRDF, 1/sr; NaN where `dropped` is not zero.
-    u_noise, u_white, u_reference, u_binning, u_lamp : (N, C) float
+    u_noise, u_white, u_reference, u_binning, u_lamp, u_flat : (N, C) float
         Standard uncertainty columns, 1/sr: the sample's noise, the white's, the white's reflectance, the
-        bin's size, the lamp's drift between white and sample.
+        bin's size, the lamp's drift between white and sample, the flat field.
+    u_stray : (N, C) float or None
+        The stray light's; None where no light trap told of it.
     dropped : (N, C) int
         Bits of `analysis.binning.Dropped`.
     bin_index : (N,) int
@@ -162,6 +179,8 @@ class PoseSamples:
     u_reference: Float
     u_binning: Float
     u_lamp: Float
+    u_flat: Float
+    u_stray: Float | None
     dropped: Int
     bin_index: Int
     d_wi: Float
@@ -212,9 +231,12 @@ def reduce_pose(
     white_geometry = sample_geometry if same_pose else pixel_geometry(rig, white.angles_rad)
     geometries = (sample_geometry, white_geometry)
     seen = np.logical_and.reduce([_well_seen(rig, geometry, options) for geometry in geometries])
-    drift, u_drift = _lamp_drift(rig, images, correct=options.lamp_drift)
-    to_unit_f, e_sample = _to_unit_f(rig, geometries, reference, mosaic.channel)
-    pixels = _signals(images, geometries, (to_unit_f * drift, e_sample), seen)
+    drift, u_drift = lamp_drift(rig, images, correct=options.corrects(Correction.LAMP_DRIFT))
+    to_unit_f, rho_white, e_sample = _to_unit_f(rig, geometries, reference, mosaic.channel)
+    stray = stray_light(rig, images, rho_white)
+    taken_out = stray if stray is not None and options.corrects(Correction.STRAY_LIGHT) else Stray()
+    pixels = _signals(images, geometries, (to_unit_f * drift, e_sample), seen, taken_out)
+    pixels, u_flat = _flattened(rig, pixels, mosaic, correct=options.corrects(Correction.FLAT_FIELD))
     binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
     u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, images, bins, u_joint_rad)
     u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
@@ -222,7 +244,13 @@ def reduce_pose(
     d_wi, d_wo = _direction_derivatives(rig, sample.angles_rad, bins)
     ratio, wi, wo = binned.ratio[kept], binned.wi[kept], binned.wo[kept]
     everywhere = (wi[:, np.newaxis], wo[:, np.newaxis], np.arange(len(mosaic.names)))
-    relative_reference = reference.u_rho(*everywhere) / reference.rho(*everywhere)
+    rho = reference.rho(*everywhere)
+    relative_reference = reference.u_rho(*everywhere) / rho
+    u_stray = None
+    if stray is not None:
+        stray_f = _as_f(stray, pixels, mosaic)
+        corrected = options.corrects(Correction.STRAY_LIGHT)
+        u_stray = u_stray_of(ratio, rho, stray, stray_f, corrected=corrected)
     return PoseSamples(
         wi=wi,
         wo=wo,
@@ -232,6 +260,8 @@ def reduce_pose(
         u_reference=np.abs(ratio) * relative_reference,
         u_binning=np.where(np.isfinite(ratio), u_binning[kept], np.nan),
         u_lamp=np.abs(ratio) * u_drift,
+        u_flat=np.abs(ratio) * u_flat,
+        u_stray=u_stray,
         dropped=binned.dropped[kept],
         bin_index=kept,
         d_wi=d_wi[kept],
@@ -241,29 +271,18 @@ def reduce_pose(
     )
 
 
-def _lamp_drift(rig: Rig, images: PoseImages, *, correct: bool) -> tuple[float, float]:
-    """Light on the sample over that on the white, as far as it is taken out, and what is left uncertain.
-
-    Without readings of both nothing is known, and nothing is stated.
-    """
-    ratio = images.sample.lamp_output / images.white.lamp_output
-    if not math.isfinite(ratio):
-        return 1.0, 0.0
-    # A drift that is left in is an error of unknown part, as large as the drift.
-    return (ratio, rig.lamp.u_monitor) if correct else (1.0, math.hypot(ratio - 1.0, rig.lamp.u_monitor))
-
-
 def _to_unit_f(
     rig: Rig,
     geometries: tuple[PixelGeometry, PixelGeometry],
     reference: WhiteReference,
     channel: Int,
-) -> tuple[Float, Float]:
-    """Give the factor from the white to what f = 1/sr would signal, and the irradiance on the sample."""
+) -> tuple[Float, Float, Float]:
+    """Factor from the white to what f = 1/sr would signal, the white's rho, the irradiance on the sample."""
     white = geometries[1]
     e_sample, e_white = (irradiance(rig, geometry) for geometry in geometries)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.pi / reference.rho(white.wi, white.wo, channel) * e_sample / e_white, e_sample
+        rho = reference.rho(white.wi, white.wo, channel)
+        return np.pi / rho * e_sample / e_white, rho, e_sample
 
 
 def _signals(
@@ -271,26 +290,57 @@ def _signals(
     geometries: tuple[PixelGeometry, PixelGeometry],
     factors: tuple[Float, Float],
     seen: NDArray[np.bool_],
+    stray: Stray,
 ) -> PixelSignals:
     """Put one pose's pixels into the form that binning takes."""
     sample, white, trap = images.sample, images.white, images.trap
-    stray, stray_variance = (0.0, 0.0) if trap is None else (trap.radiance, trap.variance)
     to_unit_f, e_sample = factors
     taken = [sample, white] if trap is None else [sample, white, trap]
     flags = np.bitwise_or.reduce([image.flags for image in taken])
     finite = np.logical_and.reduce([np.isfinite(image.radiance + image.variance) for image in taken])
     clipped = (flags & Flag.OVER_RANGE).astype(bool) & ~(flags & Flag.HOT).astype(bool)
     return PixelSignals(
-        signal=sample.radiance - stray,
-        signal_variance=sample.variance + stray_variance,
-        reference=(white.radiance - stray) * to_unit_f,
-        reference_variance=(white.variance + stray_variance) * to_unit_f**2,
+        signal=sample.radiance - stray.on_sample,
+        signal_variance=sample.variance + stray.variance,
+        reference=(white.radiance - stray.on_white) * to_unit_f,
+        reference_variance=(white.variance + stray.variance) * to_unit_f**2,
         weight=e_sample,
         usable=seen & finite & ~(flags & UNUSABLE).astype(bool),
         clipped=seen & clipped,
         wi=geometries[0].wi,
         wo=geometries[0].wo,
     )
+
+
+def _flattened(
+    rig: Rig, pixels: PixelSignals, mosaic: Mosaic, *, correct: bool
+) -> tuple[PixelSignals, Float | float]:
+    """Pixels with the white's own flat field or, uncorrected, an even one; and what is left uncertain, (C,).
+
+    Corrected, what the white's plate itself is uneven by is left.
+    """
+    if correct:
+        return pixels, rig.white.u_uniformity
+    with np.errstate(invalid="ignore", divide="ignore"):
+        even, variance, unevenness = without_flat_field(
+            pixels.reference / pixels.weight,
+            pixels.reference_variance / pixels.weight**2,
+            pixels.usable,
+            mosaic.channel,
+        )
+    left = replace(pixels, reference=even * pixels.weight, reference_variance=variance * pixels.weight**2)
+    return left, unevenness
+
+
+def _as_f(stray: Stray, pixels: PixelSignals, mosaic: Mosaic) -> Float:
+    """Stray light on the sample as the f_r of a surface that would look so bright, (C,) 1/sr."""
+    found = np.zeros(len(mosaic.names))
+    light = np.broadcast_to(stray.on_sample, pixels.signal.shape)
+    for index in range(len(found)):
+        mine = pixels.usable & (mosaic.channel == index)
+        reference = float(np.sum(pixels.reference[mine]))
+        found[index] = float(np.sum(light[mine])) / reference if reference > 0.0 else 0.0
+    return found
 
 
 def _well_seen(rig: Rig, geometry: PixelGeometry, options: Options) -> NDArray[np.bool_]:

@@ -201,6 +201,9 @@ def assemble(
         u_binning=joined("u_binning"),
         u_lamp=joined("u_lamp"),
         u_linearity=None if linearity_error is None else _bent(joined("f_r"), linearity_error),
+        u_stray=None if any(part.u_stray is None for part in parts) else joined("u_stray"),
+        u_flat=joined("u_flat"),
+        flat_group=joined("bin_index"),
         white_group=white * bins + joined("bin_index"),
         pose=np.repeat([pose.number for pose in poses], counts),
         d_wi=joined("d_wi"),
@@ -208,9 +211,9 @@ def assemble(
         u_joint_rad=joint_resolution(rig),
         joint_group=np.repeat(np.array([pose.ticks for pose in poses]), counts, axis=0),
     )
-    # NetCDF knows no booleans.
+    # NetCDF knows no tuples.
     samples.attrs |= {
-        f"option_{name}": int(value) if isinstance(value, bool) else value
+        f"option_{name}": ",".join(value) if isinstance(value, tuple) else value
         for name, value in asdict(options).items()
     }
     samples.attrs |= _totals("pixels", [part.pixel_flags for part in parts])

@@ -16,6 +16,9 @@ white_group     sample             1     number of the group
 u_reference     sample, channel    1/sr  one error for the session and all channels: white's rho
 u_lamp          sample, channel    1/sr  one error for each pose and all channels: drift of the light
 u_linearity     sample, channel    1/sr  one error for the session and all channels: bent response
+u_stray         sample, channel    1/sr  one error for the session and all channels: stray light
+u_flat          sample, channel    1/sr  one error in each `flat_group`, all channels: flat field
+flat_group      sample             1     number of the group: a place in the picture
 u_repeatability sample, channel    1/sr  what repeats of the measurement differ by; no weight of fits
 pose            sample             1     number of the pose
 d_wi, d_wo      sample, joint, xyz 1/rad change of the directions per radian of each joint
@@ -63,8 +66,11 @@ UNITS = {
     "u_binning": "1/sr",
     "u_lamp": "1/sr",
     "u_linearity": "1/sr",
+    "u_stray": "1/sr",
+    "u_flat": "1/sr",
     "u_repeatability": "1/sr",
     "white_group": "1",
+    "flat_group": "1",
     "pose": "1",
     "d_wi": "1/rad",
     "d_wo": "1/rad",
@@ -75,6 +81,7 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "wi": ("sample", "xyz"),
     "wo": ("sample", "xyz"),
     "white_group": ("sample",),
+    "flat_group": ("sample",),
     "pose": ("sample",),
     "d_wi": ("sample", "joint", "xyz"),
     "d_wo": ("sample", "joint", "xyz"),
@@ -82,7 +89,7 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "joint_group": ("sample", "joint"),
 }
 PER_CHANNEL = ("sample", "channel")
-INTEGERS = ("flags", "white_group", "pose", "joint_group")
+INTEGERS = ("flags", "white_group", "flat_group", "pose", "joint_group")
 UNIT_TOLERANCE = 1e-6
 EXACT = 1e-12
 

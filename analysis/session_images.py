@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.measurement import Image, Mosaic, PoseImages
+from analysis.stray_images import neighbour_weights, put_together
 from capture.dark import DarkModel
 from capture.merge import merge
 from capture.raw import read_raw
@@ -19,6 +20,8 @@ from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from capture.raw import RawFrame
     from capture.session import FrameRecord, PoseRecord, Session
@@ -75,7 +78,23 @@ class SessionImages:
 
     def load(self, pair: PosePair) -> PoseImages:
         """Read and merge the frames of a pair."""
-        return PoseImages(self.image(pair.sample), self.image(pair.white))
+        sample, white = self.image(pair.sample), self.image(pair.white)
+        trap, u_trap = self._trap(sample.angles_rad)
+        return PoseImages(sample, white, trap, u_trap)
+
+    def _trap(self, at_rad: NDArray[np.float64]) -> tuple[Image | None, float]:
+        """Give the light trap's image at a pose, or one put together of the nearest; None without any."""
+        records = self._traps
+        if not records:
+            return None, 0.0
+        chosen, weights = neighbour_weights(at_rad, np.array([record.angles_rad for record in records]))
+        images = [self.image(records[index]) for index in chosen]
+        return (images[0], 0.0) if len(images) == 1 else put_together(images, weights, at_rad)
+
+    @cached_property
+    def _traps(self) -> list[PoseRecord]:
+        by_index = self._by_index("trap")
+        return [by_index[index] for index in sorted(by_index)]
 
     def image(self, record: PoseRecord) -> Image:
         """Read and merge the frames of one record."""

@@ -3,9 +3,10 @@
 An error of size u that n samples share does not average out over them. Each column therefore knows its group:
 noise and binning belong to one sample and channel; the white's noise to all samples that were divided by the
 same white pixels; the lamp's drift between white and sample to all samples and channels of one pose; the
-white's reflectance to the whole session and all channels; a joint's angle to all samples and channels of one
-pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM 100:2008, section 5.2:
-correlated input quantities.)
+white's reflectance, the sensor's bent response and the stray light's rest to the whole session and all
+channels; the white plate's unevenness to all samples of one place in the picture; a joint's angle to all
+samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
+100:2008, section 5.2: correlated input quantities.)
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 INDEPENDENT = ("u_noise", "u_binning")
-IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp", "u_linearity")
+IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp", "u_linearity", "u_stray", "u_flat")
 """Columns in 1/sr: the ones that u_f_r is the quadrature of."""
 
-COMMON = ("reference", "linearity")
+COMMON = ("reference", "linearity", "stray")
 """Shared errors that all samples have in common: they move a fit as a whole, and weigh no sample down."""
 
 STEP_RAD = 1e-5
@@ -82,9 +83,10 @@ def independent(samples: xr.Dataset) -> Array:
 
 
 def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
-    """Shared errors in 1/sr: the white's noise and reflectance, bent response, drift of the lamp."""
+    """Shared errors in 1/sr: the white's noise and reflectance, and what corrections leave."""
     errors = []
     count = samples.sizes["sample"]
+    everyone = np.zeros(count, dtype=np.intp)
     if not any(name in samples for name in INDEPENDENT):
         # u_f_r stands for everything then, and has been counted.
         return []
@@ -93,18 +95,15 @@ def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
         errors.append(
             SharedError("white", samples["u_white"].to_numpy(), _dense(group), across_channels=False)
         )
-    if "u_reference" in samples:
-        everyone = np.zeros(count, dtype=np.intp)
-        errors.append(
-            SharedError("reference", samples["u_reference"].to_numpy(), everyone, across_channels=True)
-        )
-    if "u_linearity" in samples:
-        everyone = np.zeros(count, dtype=np.intp)
-        column = samples["u_linearity"].to_numpy()
-        errors.append(SharedError("linearity", column, everyone, across_channels=True))
-    if "u_lamp" in samples and "pose" in samples:
-        pose = _dense(samples["pose"].to_numpy())
-        errors.append(SharedError("lamp", samples["u_lamp"].to_numpy(), pose, across_channels=True))
+    for name, by in (
+        *((name, None) for name in COMMON),
+        ("lamp", "pose"),
+        ("flat", "flat_group"),
+    ):
+        column = f"u_{name}"
+        if column in samples and (by is None or by in samples):
+            group = everyone if by is None else _dense(samples[by].to_numpy())
+            errors.append(SharedError(name, samples[column].to_numpy(), group, across_channels=True))
     return errors
 
 

@@ -30,6 +30,7 @@ from rig.parts import (
     Sample,
     Station,
     Supervision,
+    Trap,
     White,
 )
 from rig.rig_checks import contradictions
@@ -54,6 +55,7 @@ __all__ = [
     "Sphere",
     "Station",
     "Supervision",
+    "Trap",
     "TwinLight",
     "White",
     "default_rig",
@@ -84,6 +86,7 @@ class Rig(Part):
         default_factory=dict, description="places on the station wheel by name; none when there is no wheel"
     )
     white: White = Field(default_factory=White, description="the white reference")
+    trap: Trap = Field(default_factory=Trap, description="the light trap")
     clearance: Clearance = Field(default_factory=Clearance, description="what keeps the arms apart")
     supervision: Supervision = Field(
         default_factory=Supervision, description="levels that pause a capture when they leave their band"

@@ -201,6 +201,19 @@ class White(Part):
 
     rho: float = Field(0.99, gt=0, le=1, description="8 deg/hemispherical reflectance, above 0 to 1")
     u_rho: float = Field(0.0005, ge=0, le=1, description="its standard uncertainty (k = 1), 0 to 1")
+    u_uniformity: float = Field(
+        0.0005,
+        ge=0,
+        le=1,
+        description="relative standard deviation of its reflectance over the plate, 0 to 1",
+    )
+
+
+class Trap(Part):
+    """The light trap, which shows what light comes from elsewhere than the sample."""
+
+    rho: float = Field(0.001, ge=0, lt=0.5, description="its own reflectance factor, 0 to below 0.5")
+    u_rho: float = Field(0.0003, ge=0, le=1, description="its standard uncertainty (k = 1), 0 to 1")
 
 
 class Clearance(Part):

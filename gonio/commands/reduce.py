@@ -13,8 +13,15 @@ averages them, their repeatability is told, and no uncertainty is stated below i
   rt300s-zemax   the published Zemax tables (legacy: floor shifted to zero)
   mwir-published the published formula of the mid-infrared tables, with the cosine that should not be there
 
-The JSON object: session, out, poses, samples, channels, dropped: {reason: values}, pixels: {flag: pixels};
-with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability, notes, loss, doubts
+Corrections, each with a column of the uncertainty; --without NAME leaves one out, and states its whole effect
+as uncertainty instead. The samples record what was left out (option_without).
+  flat-field     lens, vignetting, pixels: the white divides pixel by pixel; else by its mean   u_flat
+  stray-light    the light trap's pictures are subtracted, where the plan asked for them       u_stray
+  lamp-drift     the lamp's light between white and sample, by its photodiode                   u_lamp
+
+The JSON object: session, out, without, poses, samples, channels, dropped: {reason: values},
+pixels: {flag: pixels}; with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability,
+notes, loss, doubts
 """
 
 from __future__ import annotations
@@ -39,7 +46,6 @@ EXAMPLE = (
 
 DEFAULT_BIN_PX = 8
 DEFAULT_MAX_THETA_DEG = 85.0
-CORRECTIONS = ("lamp-drift",)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -63,9 +69,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--without",
         action="append",
         default=[],
-        choices=CORRECTIONS,
-        metavar="CORRECTION",
-        help=f"session: leave a correction out, and its error in the uncertainty: {', '.join(CORRECTIONS)}",
+        metavar="NAME[,NAME]",
+        help="session: leave corrections out, their errors in the uncertainty: flat-field, stray-light, "
+        "lamp-drift (above)",
     )
     parser.add_argument("--recipe", metavar="NAME|FILE", help="reduce raw files by the steps of a recipe")
     parser.add_argument("--blank", metavar="FILE", help="recipe: the measurement without a sample")
@@ -188,14 +194,15 @@ def _session(options: argparse.Namespace) -> int:
             where=given,
             todo="give --recipe NAME to reduce a raw file of readings",
         )
+    from analysis.corrections import corrections_named
     from analysis.formats import require_writer
     from analysis.measurement import Options
     from analysis.reduce import reduce_session
     from analysis.samples import write
     from capture.session import Session
 
-    drift = "lamp-drift" not in options.without
-    chosen = Options(bin_px=bin_px, max_theta_deg=max_theta_deg, lamp_drift=drift)
+    without = corrections_named(options.without)
+    chosen = Options(bin_px=bin_px, max_theta_deg=max_theta_deg, without=without)
     out = Path(options.out) if options.out else Path(given) / "samples.nc"
     with Session.open(Path(given)) as session:
         require_writer(out)  # before the work, not after it
@@ -220,6 +227,7 @@ def _session(options: argparse.Namespace) -> int:
     result = {
         "session": given,
         "out": str(out),
+        "without": [str(correction) for correction in without],
         "poses": len(set(samples["pose"].to_numpy().tolist())),
         "samples": int(samples.sizes["sample"]),
         "channels": [str(name) for name in samples["channel"].to_numpy()],
@@ -229,6 +237,8 @@ def _session(options: argparse.Namespace) -> int:
         print_json(result)
         return 0
     channels = len(samples["channel"])
+    if without:
+        say(f"note: not corrected: {', '.join(without)}")
     print(f"{result['samples']} samples in {channels} channels from {result['poses']} poses: {out}")
     for group, title in (("dropped", "channel values dropped"), ("pixels", "pixels flagged")):
         listed = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in counts[group].items() if n)

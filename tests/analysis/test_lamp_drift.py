@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from analysis.budget import budget
+from analysis.corrections import Correction
 from analysis.measurement import Options
 from analysis.reduce import reduce_session
 from capture.plan import plan_from
@@ -50,10 +50,10 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "s"
 
 
-def reduced(session: Path, **options: bool) -> xr.Dataset:
+def reduced(session: Path, *without: Correction) -> xr.Dataset:
     """Reduce it."""
     with Session.open(session) as opened:
-        return reduce_session(opened, options=replace(Options(), **options))
+        return reduce_session(opened, options=Options(without=without))
 
 
 def worst_error(samples: xr.Dataset) -> float:
@@ -66,7 +66,7 @@ def test_drift_is_taken_out_and_stated(session: Path) -> None:
     """Errors of percents without the correction, below 0.1 % with it; the budget has a line for it."""
     with Session.open(session) as opened:
         outputs = opened.lamp_outputs.values()
-    plain, corrected = reduced(session, lamp_drift=False), reduced(session)
+    plain, corrected = reduced(session, Correction.LAMP_DRIFT), reduced(session)
 
     assert max(outputs) - min(outputs) > 0.04
     assert worst_error(plain) > 0.01
@@ -84,4 +84,4 @@ def test_without_readings_nothing_is_claimed(session: Path, monkeypatch: pytest.
     samples = reduced(session)
 
     assert float(np.abs(samples["u_lamp"]).max()) == 0.0
-    assert worst_error(samples) == pytest.approx(worst_error(reduced(session, lamp_drift=False)))
+    assert worst_error(samples) == pytest.approx(worst_error(reduced(session, Correction.LAMP_DRIFT)))

@@ -145,10 +145,11 @@ def test_flags_keep_pixels_out_and_dark_ones_in(
 
 
 def test_stray_light_is_taken_off_both(default_rig: Rig, reduce_one: Callable[..., PoseSamples]) -> None:
-    """Catches a trap subtracted from the sample only, or added."""
+    """Catches a trap subtracted from the sample only, or added, or taken to be blacker than it is."""
     angles, model = _angles(default_rig, 45.0, 20.0), SURFACES["lambert"]
     image, white = _image(default_rig, model, angles), _image(default_rig, WHITE, angles)
-    stray = replace(image, radiance=np.full(image.radiance.shape, 700.0))
+    own = default_rig.trap.rho / default_rig.white.rho * white.radiance
+    stray = replace(image, radiance=700.0 + own)
     lifted = [replace(part, radiance=part.radiance + 700.0) for part in (image, white)]
     clean = reduce_one(PoseImages(image, white))
     mended = reduce_one(PoseImages(*lifted, trap=stray))

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from analysis.budget import budget
+from analysis.budget import Correlation, budget
+from analysis.corrections import Correction, corrections_named
+from analysis.measurement import Options
 from analysis.models import MODELS
 from analysis.reduce import reduce_session
 from analysis.samples import read, write
@@ -26,6 +28,8 @@ from simulator.sensor import Sensor
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import xarray as xr
 
     from analysis.models.base import Model
     from capture.sensor import SensorModel
@@ -60,6 +64,8 @@ class Studio:
         self.rig, self.folder = rig, folder
         self.flat: np.ndarray | float = 1.0
         """What lens and sensor make of an even light, (H, W, 1)."""
+        self.floor: np.ndarray | float = 0.0
+        """Stray light, over what the white looks like, (H, W, 1)."""
         self.sensor = Sensor(rig.camera.width_px, rig.camera.height_px, serial="TEST", seed=4)
         self.session = RecordedSession(folder, rig, self.sensor.calibration())
         (folder / "calibration").mkdir(exist_ok=True)
@@ -81,7 +87,8 @@ class Studio:
             geometry = pixel_geometry(self.rig, angles)
             light = irradiance(self.rig, geometry)[..., None]
             radiance = model.evaluate(geometry.wi, geometry.wo) * light * geometry.on_sample[..., None]
-            radiance = radiance * self.flat
+            floor = self.floor * np.nanmax(light) / np.pi * (1.0 + np.sin(angles[0]))
+            radiance = (radiance + floor) * self.flat
         times = EXPOSURES_S if model is not None else (EXPOSURES_S[index],) * 4
         frames = [self._frame(f"{role}-{index}-{n}", radiance, time) for n, time in enumerate(times)]
         record = PoseRecord(
@@ -226,3 +233,99 @@ def test_a_tilted_flat_field_leaves_no_trace(default_rig: Rig, tmp_path: Path) -
 
     assert middle == pytest.approx(1.0, abs=1e-3)
     assert abs(slope) * np.ptp(across) < 2e-3
+
+
+def shot_with_trap(rig: Rig, folder: Path, floor: np.ndarray | float, traps: tuple[int, ...]) -> Studio:
+    """Three poses in a room with stray light, the light trap at some of them."""
+    folder.mkdir()
+    studio = Studio(rig, folder)
+    studio.floor = floor
+    dark_paint = MODELS["lambert"](kd=(0.5, 0.5, 0.5))
+    trap = MODELS["lambert"](kd=(rig.trap.rho,) * 3)
+    for index, pose in enumerate(POSES_DEG):
+        studio.shoot("sample", index, dark_paint, pose)
+        studio.shoot("white", index, WHITE, pose)
+        if index in traps:
+            studio.shoot("trap", index, trap, pose)
+    for index in range(2):
+        studio.shoot("dark", index, None, POSES_DEG[0])
+    return studio
+
+
+def errors_of_poses(samples: xr.Dataset) -> np.ndarray:
+    """Relative errors of the poses' means, all channels, of a paint of albedo 0.5."""
+    relative = samples["f_r"].where(samples["flags"] == 0) * np.pi / 0.5 - 1.0
+    return np.asarray(relative.groupby(samples["pose"]).mean("sample").mean("channel"))
+
+
+def test_stray_light_is_taken_out_and_stated(default_rig: Rig, tmp_path: Path) -> None:
+    """A floor of 1 % of the white, uneven and other at every pose: below 0.1 % with the light trap."""
+    rows = np.linspace(-1.0, 1.0, default_rig.camera.height_px)[:, np.newaxis, np.newaxis]
+    studio = shot_with_trap(default_rig, tmp_path / "s", 0.01 * (1.0 + 0.3 * rows), (0, 1, 2))
+    left_in = reduce_session(studio.session, options=Options(without=(Correction.STRAY_LIGHT,)))
+    corrected = reduce_session(studio.session)
+
+    assert np.abs(errors_of_poses(left_in)).min() > 0.005
+    assert np.abs(errors_of_poses(corrected)).max() < 0.001
+    lines = {line.name: line for line in budget(corrected)}
+    assert 0.0 < lines["stray light"].of_sample < 0.001
+    assert lines["stray light"].correlation is Correlation.SESSION
+    stated = {line.name: line for line in budget(left_in)}["stray light"].of_sample
+    assert stated == pytest.approx(np.abs(errors_of_poses(left_in)).mean(), rel=0.3)
+    assert left_in.attrs["option_without"] == "stray-light"
+
+
+def test_stray_light_between_the_poses_of_the_trap(default_rig: Rig, tmp_path: Path) -> None:
+    """The trap at two of three poses: the one between is corrected, and says that it is less certain."""
+    studio = shot_with_trap(default_rig, tmp_path / "s", 0.01, (0, 2))
+    samples = reduce_session(studio.session)
+
+    errors = errors_of_poses(samples)
+    u = (samples["u_stray"] / samples["f_r"]).groupby(samples["pose"]).median("sample").mean("channel")
+    assert np.abs(errors[[0, 2]]).max() < 0.001
+    assert float(u[1]) > 2.0 * float(u[[0, 2]].max())
+    assert abs(errors[1]) < 2.0 * float(u[1])
+
+
+def test_without_a_trap_nothing_is_claimed_of_stray_light(session: RecordedSession) -> None:
+    """Would catch a column of noughts for an error that nobody measured."""
+    samples = reduce_session(session)
+    assert "u_stray" not in samples
+    assert not any(line.name == "stray light" for line in budget(samples))
+
+
+def test_a_flat_field_that_is_left_in_is_stated(default_rig: Rig, tmp_path: Path) -> None:
+    """A tilted response: percents of error without the flat field, as stated; below 0.1 % with it."""
+    cols = np.linspace(-1.0, 1.0, default_rig.camera.width_px)[np.newaxis, :, np.newaxis]
+    studio = Studio(default_rig, tmp_path)
+    studio.flat = 0.8 - 0.2 * cols
+    paint = MODELS["lambert"](kd=(0.5, 0.5, 0.5))
+    studio.shoot("sample", 0, paint, POSES_DEG[0])
+    studio.shoot("white", 0, WHITE, POSES_DEG[0])
+    for index in range(2):
+        studio.shoot("dark", index, None, POSES_DEG[0])
+    found = {}
+    for without in ((), (Correction.FLAT_FIELD,)):
+        samples = reduce_session(studio.session, options=Options(without=without))
+        error = (samples["f_r"] * np.pi / 0.5 - 1.0).mean("channel").to_numpy()
+        line = {line.name: line for line in budget(samples)}["flat field"]
+        found[without] = (float(error.std()), float(abs(error.mean())), line)
+
+    spread, middle, line = found[()]
+    assert middle < 0.001
+    assert line.of_sample == pytest.approx(default_rig.white.u_uniformity, rel=0.01)
+    assert line.correlation is Correlation.CALIBRATION
+    left_in, _, line = found[(Correction.FLAT_FIELD,)]
+    assert left_in > 5.0 * spread
+    assert line.of_sample == pytest.approx(left_in, rel=0.2)
+
+
+def test_corrections_are_named_or_refused() -> None:
+    """Would catch a correction that stays on because its name was mistyped."""
+    assert corrections_named(["lamp-drift,flat-field", "flat-field"]) == (
+        Correction.FLAT_FIELD,
+        Correction.LAMP_DRIFT,
+    )
+    assert corrections_named([]) == ()
+    with pytest.raises(BadInput, match=r"'straylight'.*flat-field, stray-light, lamp-drift"):
+        corrections_named(["straylight"])
