@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import binary_erosion
 
 from analysis.models import MODELS
 from benchmarks.light_stability_light import scaled, scenes, served, units_target
 from rig.angles import unit
 from rig.description import Camera, Lamp, Rig, Sample, default_rig
+from rig.pixels import pixel_geometry
 from simulator.light.classes import light_paths
 from simulator.light.hemisphere import hemisphere
 from simulator.light.methods import METHODS
@@ -284,6 +286,8 @@ def test_paths_are_the_same_in_other_units(vector: Any, count: int) -> None:
         paths = light_paths(scene)
         here, there = (method.build(vector, each, paths) for each in (scene, bigger))
         one, other = (evaluator.render(upright.pose, 0.3).radiance for evaluator in (here, there))
-        assert np.sqrt(np.mean(np.square(one - other))) <= 1e-3 * one.mean()
+        # A ray that grazes the sample's edge may fall on either side of it, in single precision.
+        inside = binary_erosion(pixel_geometry(upright.rig, upright.pose).on_sample)
+        assert np.sqrt(np.mean(np.square(one - other)[inside])) <= 1e-3 * one.mean()
 
     check(count, claim)
