@@ -6,20 +6,16 @@ Everything that a client waits for is answered here and at once; frames are rend
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
-import shutil
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.control_table import BAUD_CODES
-from rig.errors import BadInput, Refused
+from rig.errors import BadInput
 from rig.servo_models import MODELS
 from simulator.drive import TICKS_PER_TURN
 from simulator.fault_injector import FaultInjector
@@ -31,9 +27,11 @@ from simulator.pty_line import PtyLine
 from simulator.servo import Servo
 from simulator.servo_line import ServoLine
 from simulator.shaft import Flaws
+from simulator.twin_folder import twin_folder
 from simulator.wire_log import WireLog
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from types import FrameType
 
     from simulator.options import TwinSettings
@@ -70,47 +68,12 @@ def serve(settings: TwinSettings, announce: Announce) -> int:
             f"a speed of {settings.speed:g}", where="twin", todo="give a factor above 0, such as 10"
         )
     os.umask(0o022)
-    with _folder(settings.folder) as folder:
+    with twin_folder(settings.folder) as folder:
         server = _Server(settings, folder)
         try:
             return server.run(announce)
         finally:
             server.close()
-
-
-@contextlib.contextmanager
-def _folder(given: str | None) -> Iterator[Path]:
-    """Yield the twin's folder, which any user can look into, with its hot folder, which any user can use."""
-    folder = Path(given).absolute() if given else Path(tempfile.mkdtemp(prefix="gonio-twin-"))
-    frames = folder / "frames"
-    try:
-        try:
-            frames.mkdir(parents=True, exist_ok=True)
-            frames.chmod(0o777)
-            if not given:
-                folder.chmod(0o755)
-        except OSError as error:
-            what = error.strerror or str(error)
-            raise BadInput(what, where=str(folder), todo="choose a folder that you can write") from error
-        with _alone_in(folder):
-            yield folder
-    finally:
-        if not given:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Keep a second twin from taking this one's ports over; a dead twin keeps nobody out."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError as error:
-        todo = "end that one, or choose another --folder"
-        raise Refused("another twin serves there", where=str(folder), todo=todo) from error
-    finally:
-        os.close(handle)
 
 
 class _Server:
