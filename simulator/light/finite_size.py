@@ -83,7 +83,7 @@ def pose_errors(mi: Any, scene: Scene, poses_rad: Iterable[Pose]) -> list[float]
 
 
 def point_errors(scene: Scene, reflectance: Reflectance, poses_rad: Sequence[Sequence[float]]) -> Array:
-    """Estimate the errors of f_r E at pixel centres, for a point lamp and a pinhole.
+    """Estimate the errors of f_r E at pixel centres, for a lamp at a point and a pinhole.
 
     The means over a pixel, over the pupil and over the lamp's disc are each taken with four nodes. Where the
     lobe is so narrow that four do not do, they still show that one does not.
@@ -133,12 +133,11 @@ def _errors(
     found = np.zeros(points.shape)
     found[seen] = _radiance(scene, reflectance, points[seen], cameras, lamps)
     if scene.lamp_cosine:
-        facing = look.light_mm / np.linalg.norm(look.light_mm, axis=-1, keepdims=True)
-        way = lamp[:, :, None] - centre
-        along = np.einsum("pkni,pi->pkn", way, facing) / np.linalg.norm(way, axis=-1)
-        # A disc's irradiance falls short of a point's by the second factor: it is made up for.
+        axes = np.broadcast_to(unit(look.light_mm)[:, None, None], points.shape)[seen]
+        found[seen] *= np.sum(unit(lamps - points[seen]) * axes, axis=-1, keepdims=True)
+        # A disc's irradiance falls short of a point's by this factor: it is made up for.
         made_up = 1.0 + scene.lamp_radius_mm**2 / np.sum(look.light_mm**2, axis=-1)
-        found[:, 9:] *= (made_up[:, None, None] * along)[..., None]
+        found[:, 9:] *= made_up[:, None, None, None]
     parts = found[:, 1:].reshape(len(poses), 3, 4, *found.shape[2:])
     left_out = parts.mean(axis=2).sum(axis=1) - 3.0 * found[:, 0]
     for pose in np.flatnonzero(~lost):

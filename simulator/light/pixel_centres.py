@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.angles import unit
 from rig.kinematics import Kinematics
 from simulator.light.evaluator import Evaluator, Rendering
 from simulator.light.mitsuba_scene import camera_rays, point_lamp
@@ -39,10 +40,13 @@ class PixelCentreLight(Evaluator):
         The machine.
     material : Material
         What lies at the station.
+    lamp_cosine : bool
+        Whether the lamp shines with the cosine to its axis, as a disc does, not alike in all directions.
     """
 
-    def __init__(self, mi: Any, rig: Rig, material: Material) -> None:
+    def __init__(self, mi: Any, rig: Rig, material: Material, *, lamp_cosine: bool = False) -> None:
         self._mi = mi
+        self._lamp_cosine = lamp_cosine
         self._rig = rig
         self._kinematics = Kinematics(rig)
         self._rays = mi.Vector3f(camera_rays(rig).T.astype(np.float32))
@@ -103,6 +107,9 @@ class PixelCentreLight(Evaluator):
         lamp, irradiance = self._scene.sample_emitter_direction(si, mi.Point2f(0.5, 0.5), True, seen)
         # Asked directly: a kernel that looked it up at each point would hold every BSDF of the process.
         value = self._bsdf.eval(mi.BSDFContext(), si, si.to_local(lamp.d), seen)
+        if self._lamp_cosine:
+            axis = self._data(mi.Vector3f, unit(frames.light_mm))
+            irradiance *= dr.maximum(dr.dot(lamp.d, axis), 0.0)
         radiance = np.asarray(dr.select(seen, value * irradiance, 0.0), dtype=np.float64)
         return radiance.T.reshape(self._rig.camera.height_px, self._rig.camera.width_px, 3)
 
@@ -133,4 +140,4 @@ class PixelCentres(PointMethod):
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
-        return PixelCentreLight(mi, scene.rig, scene.material)
+        return PixelCentreLight(mi, scene.rig, scene.material, lamp_cosine=scene.lamp_cosine)

@@ -2,7 +2,7 @@
 
 With one flat sample, a lamp small enough to be a point and black surroundings the light paths are LDE, and
 the radiance of a pixel is f_r(wi, wo) E, with E = level (d/r)^2 cos theta_i at the point where the ray
-through the pixel's centre meets the sample.
+through the pixel's centre meets the sample. A lamp that is a small disc shines with the cosine to its axis.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.angles import unit
+from rig.kinematics import Kinematics
 from rig.pixels import irradiance, pixel_geometry
 from simulator.light.costs import GEOMETRY_S, MITSUBA_VALUE_S, ONE_BY_ONE_S, value_s
 from simulator.light.evaluator import Evaluator, Method, Rendering
@@ -41,11 +43,16 @@ class PixelwiseLight(Evaluator):
         The machine.
     reflectance : callable
         (wi (N, 3), wo (N, 3)) -> f_r (N, 3) in 1/sr.
+    lamp_cosine : bool
+        Whether the lamp shines with the cosine to its axis, as a disc does, not alike in all directions.
     """
 
-    def __init__(self, rig: Rig, reflectance: Callable[[Array, Array], Array]) -> None:
+    def __init__(
+        self, rig: Rig, reflectance: Callable[[Array, Array], Array], *, lamp_cosine: bool = False
+    ) -> None:
         self._rig = rig
         self._reflectance = reflectance
+        self._kinematics = Kinematics(rig) if lamp_cosine else None
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:  # noqa: ARG002
         """Compute a pose; see `Evaluator.render`."""
@@ -67,8 +74,11 @@ class PixelwiseLight(Evaluator):
         pixels = pixel_geometry(self._rig, np.asarray(angles_rad))
         seen = pixels.on_sample & (pixels.wi[..., 2] > 0.0)
         radiance = np.zeros((*seen.shape, 3))
-        f_r = self._reflectance(pixels.wi[seen], pixels.wo[seen])
-        radiance[seen] = f_r * irradiance(self._rig, pixels)[seen, None]
+        received = irradiance(self._rig, pixels)[seen]
+        if self._kinematics is not None:
+            lamp_mm = self._kinematics.frames(np.asarray(angles_rad)).light_mm
+            received *= np.maximum(pixels.wi[seen] @ unit(lamp_mm), 0.0)
+        radiance[seen] = self._reflectance(pixels.wi[seen], pixels.wo[seen]) * received[:, None]
         return radiance
 
 
@@ -104,7 +114,8 @@ class ClosedForm(PointMethod):
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
-        return PixelwiseLight(scene.rig, material_reflectance(mi, scene.material))
+        reflectance = material_reflectance(mi, scene.material)
+        return PixelwiseLight(scene.rig, reflectance, lamp_cosine=scene.lamp_cosine)
 
 
 class PixelByPixel(PointMethod):
@@ -123,4 +134,5 @@ class PixelByPixel(PointMethod):
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Evaluator:  # noqa: ARG002
         """Set it to work; see `Method.build`."""
-        return PixelwiseLight(scene.rig, mitsuba_reflectance(mi, scene.material))
+        reflectance = mitsuba_reflectance(mi, scene.material)
+        return PixelwiseLight(scene.rig, reflectance, lamp_cosine=scene.lamp_cosine)

@@ -34,7 +34,8 @@ def test_the_estimate_is_the_error(scalar: Any) -> None:
             continue
         nodes = Float64Nodes(reflectance, extents, scene.sample_radius_mm)
         truth = nodes.radiance([view], lens[pixels], product_rule(Levels(2, 1, 2)))[0]
-        points = PixelwiseLight(scene.rig, reflectance).radiance(drawn.pose).reshape(-1, 3)[pixels]
+        light = PixelwiseLight(scene.rig, reflectance, lamp_cosine=scene.lamp_cosine)
+        points = light.radiance(drawn.pose).reshape(-1, 3)[pixels]
         error = np.sqrt(np.mean((points - truth) ** 2)) / truth.mean()
         ratios.append(point_errors(scene, reflectance, [drawn.pose])[0] / error)
     assert len(ratios) > 8

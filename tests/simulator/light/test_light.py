@@ -139,6 +139,18 @@ class TestMethods:
             assert np.sqrt(np.mean(error**2)) < 1e-6
             assert np.max(np.abs(error)) < 1e-5
 
+    def test_the_lamps_cosine_is_the_same_through_mitsuba(self, vector: Any) -> None:
+        """Would catch an axis that does not turn with the lamp, or a cosine taken at the sample."""
+        material = closed_form("lambert:kd=0.5")
+        traced = PixelCentreLight(vector, RIG, material, lamp_cosine=True)
+        wanted = PixelwiseLight(RIG, closed_form_reflectance(material), lamp_cosine=True)
+        for pose in POSES:
+            expected, found = wanted.radiance(pose), traced.radiance(pose)
+            both = (expected > 0.0) & (found > 0.0)
+            np.testing.assert_allclose(found[both], expected[both], rtol=2e-6)
+            alike = exact(RIG, "lambert:kd=0.5").radiance(pose)
+            assert np.max(alike[both] / expected[both] - 1.0) > 1e-4
+
     @pytest.mark.parametrize("model", ["lambert", "phong", "cook-torrance"])
     def test_the_path_tracer_finds_the_same_within_its_noise(self, vector: Any, model: str) -> None:
         """Would catch light paths left out, and wrong geometry that all pixel-centre methods share."""
