@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_CORNERS = 16
-"""Of a polygon around the sample, which is looked for in a mirror."""
-
 
 class Surroundings:
     """What light can meet on its way to a sample and back.
@@ -106,38 +103,50 @@ class Surroundings:
         """Irradiance (P, C) of the sample by its own image in a mirror."""
         return light.kept * light.sample * self._solid_angle(2.0 * self._to_mirror_mm)
 
-    def reaches_sample(self, light: Light) -> Bools:
-        """Tell in which poses (P,) the lamp's image may be seen from the sample in the last mirror.
+    def reaches(self, light: Light, places_mm: Array, around_mm: Array) -> Bools:
+        """Tell which places of the sample may see the lamp's image in the last mirror.
 
-        A polygon around the sample, seen from the image, is held against the mirror's rectangle in the
-        mirror's plane, along the rectangle's sides.
+        Where the way from a place to the image meets the mirror's plane is known within an interval along
+        each side of the mirror's rectangle, for all of the lamp and of the place's surroundings.
+
+        Parameters
+        ----------
+        light : Light
+            Of the lamp, over mirrors alone.
+        places_mm : ndarray, shape (P, N, 3)
+        around_mm : ndarray, shape (P,)
+            How far around a place counts as it.
+
+        Returns
+        -------
+        ndarray of bool, shape (P, N)
         """
-        image, mirror = light.lamp_mm, light.mirror
+        image, mirror, radius = light.lamp_mm, light.mirror, self._scene.lamp_radius_mm
         if image is None:
             raise ValueError("light that was scattered comes from no lamp")
         if mirror is None:
-            return np.ones(len(image), dtype=bool)
-        centre, radius = np.asarray(mirror.centre_mm), self._scene.lamp_radius_mm
-        turn = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
-        reach_mm = self._scene.sample_radius_mm / np.cos(np.pi / _CORNERS)
-        around = reach_mm * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
-        before = (around - centre) @ mirror.normal
-        around, before = around[before > 0.0], before[before > 0.0]
-        if not len(around):
-            return np.zeros(len(image), dtype=bool)
-        # Points of the lamp are no further from its middle than the corners of a cube around it.
-        offsets = radius * (2.0 * np.stack(np.meshgrid(*[[0, 1]] * 3), axis=-1).reshape(-1, 3) - 1.0)
-        places = image[:, None] + offsets
-        behind = (centre - places) @ mirror.normal
-        share = before / (before + np.maximum(behind, 0.0)[..., None])
-        met = around + share[..., None] * (places[:, :, None] - around) - centre
-        found = (behind > 0.0).any(axis=1) & (places[..., 2] > 0.0).any(axis=1)
-        for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
-            along = (met @ side / (side @ side)).reshape(len(image), -1)
-            found &= (along.min(axis=1) <= 1.0) & (along.max(axis=1) >= -1.0)
-        # What sees the mirror from behind in places is not told apart.
-        cut = (places[..., 2] > 0.0).any(axis=1) if len(around) < _CORNERS else np.zeros_like(found)
-        return np.asarray(found | cut)
+            return np.ones(places_mm.shape[:2], dtype=bool)
+        way, behind = places_mm - np.asarray(mirror.centre_mm), image - np.asarray(mirror.centre_mm)
+        before_mm, behind_mm = way @ mirror.normal, -(behind @ mirror.normal)[:, None]
+        least_mm, most_mm = np.maximum(before_mm - around_mm[:, None], 0.0), before_mm + around_mm[:, None]
+        nearest_mm, farthest_mm = np.maximum(behind_mm - radius, 0.0), behind_mm + radius
+        found = (most_mm > 0.0) & (farthest_mm > 0.0) & (image[:, 2:] + radius > 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Of the way from the place to the image, as far as the mirror.
+            shares = least_mm / (least_mm + farthest_mm), most_mm / (most_mm + nearest_mm)
+            for side in (np.asarray(mirror.across_mm), np.asarray(mirror.up_mm)):
+                length = np.linalg.norm(side)
+                here, there = way @ side / length**2, (behind @ side / length**2)[:, None]
+                low, high = (
+                    [
+                        (1.0 - share) * (here + sign * around_mm[:, None] / length)
+                        + share * (there + sign * radius / length)
+                        for share in shares
+                    ]
+                    for sign in (-1.0, 1.0)
+                )
+                found &= (np.minimum(*low) <= 1.0) & (np.maximum(*high) >= -1.0)
+        return np.asarray(found)
 
     def series(self, lights: Sequence[Light]) -> Light | None:
         """Sum lights and all that they become over any number of further surfaces.

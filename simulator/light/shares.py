@@ -42,6 +42,8 @@ _IMAGE_MARGIN = 1.5
 """What the brightest place of a sample that lights itself may be above that of its pairs of places."""
 _LOWEST_COSINE = 1e-3
 """Of a lamp's direction: one below the horizon lights nothing, and is asked nothing."""
+_APART_MARGIN = 1.2
+"""For perspective and distortion, which draw places apart as well."""
 _DIGITS = 3
 """To which bounds are stated, rounded up: below, they may depend on what else is asked at once."""
 _TOGETHER = 32
@@ -158,8 +160,7 @@ class Shares:
             unknown = light.lamp_mm is not None or light.sample.any()
             return None if unknown else around.radiance_on_sample(light)
         if light.lamp_mm is not None:
-            reached = around.reaches_sample(light)
-            return at.lit(light.lamp_mm, light.kept, reached)
+            return at.lit(light.lamp_mm, light.kept, around.reaches(light, at.points_mm, at.apart_mm))
         return self._scattered(at, light)
 
     def _scattered(self, at: _Poses, light: Light) -> Array:
@@ -222,17 +223,22 @@ class _Poses:
     ----------
     start : Start
     camera_mm : ndarray, shape (P, 3)
+    points_mm : ndarray, shape (P, N, 3)
+        Places of the sample that are looked at.
+    apart_mm : ndarray, shape (P,)
+        How far around each of them there may be no other.
     """
 
     def __init__(self, scene: Scene, reflectance: Reflectance, look: Look, around: Surroundings) -> None:
         self._scene, self._reflectance = scene, reflectance
-        self._points_mm, self._seen = np.where(look.seen[..., None], look.points_mm[:, 0], 0.0), look.seen
-        self._wo = unit(look.camera_mm[:, None] - self._points_mm)
+        self.points_mm, self._seen = np.where(look.seen[..., None], look.points_mm[:, 0], 0.0), look.seen
+        self.apart_mm = self._apart_mm(look.camera_mm)
+        self._wo = unit(look.camera_mm[:, None] - self.points_mm)
         lamp = look.light_mm
         rows, ends = np.arange(len(lamp))[:, None], self._ends()
         self.camera_mm, self._cells = look.camera_mm, around.cells
         self._towards = self._wo[rows, ends]
-        wi = unit(lamp - self._points_mm[rows[:, 0], ends[:, 1]])
+        wi = unit(lamp - self.points_mm[rows[:, 0], ends[:, 1]])
         wi[:, 2] = np.maximum(wi[:, 2], _LOWEST_COSINE)
         self.start = Start(lamp, unit(wi), reflectance)
 
@@ -248,6 +254,14 @@ class _Poses:
             self._cells.seen(found.directions),
         )
 
+    def _apart_mm(self, camera_mm: Array) -> Array:
+        """Half the diagonal (P,) between places on the sample, which a view at an angle draws apart."""
+        camera, distance = self._scene.rig.camera, np.linalg.norm(camera_mm, axis=-1)
+        pixels = max(camera.height_px, camera.width_px) / min(_NODES, camera.height_px, camera.width_px)
+        cosine = np.maximum(camera_mm[:, 2] / distance, _LOWEST_COSINE)
+        apart = 0.5 * pixels * distance / camera.focal_length_px * np.hypot(1.0, 1.0 / cosine)
+        return np.asarray(np.minimum(_APART_MARGIN * apart, 2.0 * self._scene.sample_radius_mm))
+
     def _ends(self) -> NDArray[np.intp]:
         """Places (P, 2) of the lowest and the highest of the camera's directions."""
         cosine = np.where(self._seen, self._wo[..., 2], np.nan)
@@ -261,17 +275,17 @@ class _Poses:
         lamp_mm : ndarray, shape (P, 3)
         kept : float
             Of its light.
-        where : ndarray of bool, shape (P,), optional
-            In which poses; dark in the others.
+        where : ndarray of bool, shape (P, N), optional
+            Which places; the others are dark.
         """
-        way = lamp_mm[:, None] - self._points_mm
+        way = lamp_mm[:, None] - self.points_mm
         asked = self._seen & (way[..., 2] > 0.0)
         if where is not None:
-            asked &= where[:, None]
+            asked &= where
         way = way[asked]
         distance = np.sqrt(np.sum(way**2, axis=-1))
         wi = way / distance[:, None]
-        radiance = np.zeros(self._points_mm.shape)
+        radiance = np.zeros(self.points_mm.shape)
         irradiance = kept * self._scene.lamp_intensity * wi[:, 2] / distance**2
         radiance[asked] = self._reflectance(wi, self._wo[asked]) * irradiance[:, None]
         return np.asarray(radiance.sum(axis=1) / self._seen.sum(axis=1)[:, None])
