@@ -146,8 +146,8 @@ def u_stray_of(f_r: Float, rho_white: Float, stray: Stray, stray_f: Float, *, co
         Whether it was taken out.
     """
     contrast = np.abs(1.0 - math.pi * f_r / rho_white)
-    left_in = 1.0 if not corrected else stray.u_relative
-    return np.asarray(contrast * np.hypot(stray.u_trap / math.pi, left_in * np.abs(stray_f)))
+    left = stray.u_relative if corrected else 1.0
+    return np.asarray(contrast * np.hypot(stray.u_trap / math.pi, left * np.abs(stray_f)))
 
 
 def lamp_drift(rig: Rig, images: PoseImages, *, correct: bool) -> tuple[float, float]:

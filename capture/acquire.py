@@ -184,10 +184,31 @@ class Acquisition:
     ) -> float | None:
         if visit.role is Role.DARK:
             return self.dark_exposures_s[visit.pose] if len(history) < self.dark_count else None
+        if visit.role is Role.TRAP:
+            return self._next_of_trap(visit, history)
         return self.chooser.next_exposure(history, previous)
 
+    def _next_of_trap(self, visit: Visit, history: Sequence[Observation]) -> float | None:
+        """Longest exposure that the pose has had: stray light is then known better than what it is taken off.
+
+        Shorter ones follow while something clips: a lamp that is seen, a reflex.
+        """
+        if history and not history[-1].clipped:
+            return None
+        lit = {other.number for other in self.journal.visits() if other.pose == visit.pose} - {visit.number}
+        used = {
+            shot.exposure_s
+            for shot in self.journal.shots()
+            if shot.lit and shot.visit in lit and shot.state is ShotState.VERIFIED
+        }
+        return max(used - {seen.exposure_s for seen in history}, default=None)
+
     def _flags(self, visit: Visit, history: Sequence[Observation]) -> PoseFlag:
-        return NO_FLAG if visit.role is Role.DARK else self.chooser.flags(history)
+        if visit.role is Role.DARK:
+            return NO_FLAG
+        if visit.role is Role.TRAP:  # it is dark on purpose
+            return PoseFlag.OVER_RANGE if history and all(seen.clipped for seen in history) else NO_FLAG
+        return self.chooser.flags(history)
 
     def _intend(self, visit: Visit, frame: int, exposure_s: float) -> Shot:
         name = shot_id(self.plan_hash, visit.role, visit.pose, frame)

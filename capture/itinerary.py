@@ -70,7 +70,18 @@ class Itinerary:
     @property
     def roles(self) -> tuple[Role, ...]:
         """The passes with the lamp on, in their order."""
-        return (Role.WHITE, Role.SAMPLE) if self.plan.plan.white == "poses" else (Role.SAMPLE,)
+        white = (Role.WHITE,) if self.plan.plan.white == "poses" else ()
+        trap = (Role.TRAP,) if self.plan.trap.every else ()
+        return (*white, Role.SAMPLE, *trap)
+
+    def rows_of(self, role: Role) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Rows of `angles_rad` that a pass visits, in the order of travel from the parked arms."""
+        every = self.plan.trap.every
+        if role is not Role.TRAP or every == 1:
+            return self.order
+        # The last one too: stray light is put together between poses, never beyond them.
+        chosen = sorted({*range(0, len(self.order), every), len(self.order) - 1})
+        return self.order[chosen]
 
     def planned(self) -> list[PlannedPose]:
         """Every pose of the plan, for the journal."""
@@ -88,7 +99,8 @@ class Itinerary:
         visits: list[Visit] = []
         for number, role in enumerate(self.roles):
             station = station_for(role, self.plan, self.rig)
-            for row in self.order if number % 2 == 0 else self.order[::-1]:
+            rows = self.rows_of(role)
+            for row in rows if number % 2 == 0 else rows[::-1]:
                 pose = int(self.feasible.taken[row])
                 visits.append(Visit(len(visits), role, pose, station, _tuple(self.angles_rad[row])))
         return visits
@@ -97,7 +109,7 @@ class Itinerary:
         """How long it takes, and how much disk."""
         rig, plan = self.rig, self.plan
         passes = len(self.roles)
-        moves = passes * len(self.order)
+        moves = sum(len(self.rows_of(role)) for role in self.roles)
         travel = self.travel.seconds(passes)
         frames = round(moves * FRAMES_PER_POSE) + 2 * plan.darks.count
         pixels = rig.camera.width_px * rig.camera.height_px
@@ -201,9 +213,9 @@ def station_for(role: Role, plan: Plan, rig: Rig) -> str | None:
     """Station that a pass needs; None for a machine without a wheel."""
     if not rig.stations:
         return None
-    if role is Role.WHITE:
-        return next(name for name, station in rig.stations.items() if station.kind == "white")
-    return plan.sample
+    if role is Role.SAMPLE:
+        return plan.sample
+    return next(name for name, station in rig.stations.items() if station.kind == role.value)
 
 
 def check_stations(plan: Plan, rig: Rig) -> None:
@@ -222,6 +234,12 @@ def check_stations(plan: Plan, rig: Rig) -> None:
             f"no sample station {plan.sample!r}",
             where=f"plan {plan.name}",
             todo=f"sample stations are {', '.join(samples) or 'none'}",
+        )
+    if plan.trap.every and all(station.kind != "trap" for station in rig.stations.values()):
+        raise BadInput(
+            "the wheel has no light trap",
+            where=rig.name,
+            todo='add a station of kind "trap", or leave [trap] out of the plan',
         )
     if plan.plan.white == "poses" and all(station.kind != "white" for station in rig.stations.values()):
         raise BadInput(

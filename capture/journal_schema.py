@@ -30,7 +30,7 @@ CREATE TABLE poses (
 );
 CREATE TABLE visits (
     visit INTEGER PRIMARY KEY,
-    role TEXT NOT NULL CHECK (role IN ('white', 'sample', 'dark')),
+    role TEXT NOT NULL CHECK (role IN ('white', 'sample', 'trap', 'dark')),
     pose INTEGER NOT NULL,
     station TEXT,
     angles_rad TEXT NOT NULL,

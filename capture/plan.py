@@ -35,6 +35,9 @@ Phi = Annotated[float, Field(ge=-360.0, le=360.0)]
 ADDED_FIELDS: dict[str, tuple[str, ...]] = {"plan": ("spoiled",), "exposure": ("spare",)}
 """Fields younger than the format: with their default they leave the hash of a plan as it was."""
 
+ADDED_PARTS = ("trap", "references")
+"""Parts younger than the format: likewise."""
+
 
 class Grid(Part):
     """Every combination of the angles."""
@@ -163,6 +166,31 @@ class Darks(Part):
     )
 
 
+class Trap(Part):
+    """The light trap in the sample's place, which shows the stray light."""
+
+    every: int = Field(
+        0,
+        ge=0,
+        le=poses.LARGEST_SET,
+        description="at every so many poses in the order of travel, and the last; 1: at all, 0: not at all",
+    )
+
+
+class References(Part):
+    """When references are shot again: as the drift asks for."""
+
+    tolerance: float = Field(
+        0.001,
+        gt=0,
+        le=1,
+        description="relative error that drift since the last reference may have made, as predicted",
+    )
+    max_interval_s: float = Field(
+        3600.0, ge=0, le=1e6, description="longest time between two references, seconds; 0: any"
+    )
+
+
 class Plan(Part):
     """A whole plan. Two plans are equal when their contents are."""
 
@@ -170,6 +198,8 @@ class Plan(Part):
     plan: Head
     exposure: Exposure = Field(default_factory=Exposure)
     darks: Darks = Field(default_factory=Darks)
+    trap: Trap = Field(default_factory=Trap)
+    references: References = Field(default_factory=References)
     poses: tuple[PoseSet, ...] = Field(min_length=1)
 
     @property
@@ -190,6 +220,9 @@ class Plan(Part):
             given = content[part]
             defaults = type(getattr(self, part)).model_fields
             content[part] = {k: v for k, v in given.items() if k not in names or v != defaults[k].default}
+        for part in ADDED_PARTS:
+            if getattr(self, part) == type(getattr(self, part))():
+                del content[part]
         return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def directions(self) -> tuple[FloatArray, FloatArray, int]:

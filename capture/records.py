@@ -18,6 +18,7 @@ class Role(StrEnum):
 
     WHITE = "white"
     SAMPLE = "sample"
+    TRAP = "trap"
     DARK = "dark"
 
 

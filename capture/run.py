@@ -247,7 +247,7 @@ class _Run:
                 finishing=lambda: self.wishes.controls.finish_requested,
                 say=self.wishes.say,
             )
-            for role in (Role.WHITE, Role.SAMPLE, Role.DARK):
+            for role in (Role.WHITE, Role.SAMPLE, Role.TRAP, Role.DARK):
                 if role is Role.DARK:
                     self._plan_darks()
                 left = [visit for visit in self.journal.visits() if visit.role is role and not visit.done]
@@ -327,7 +327,9 @@ class _Run:
         """Have the person mount what a pass needs; False where he stops instead."""
         if self.rig.stations or role is Role.DARK:
             return True
-        label = "the white reference" if role is Role.WHITE else f"the sample {self.plan.sample}"
+        label = {Role.WHITE: "the white reference", Role.TRAP: "the light trap"}.get(
+            role, f"the sample {self.plan.sample}"
+        )
         if role not in self.wishes.mounted:
             if self.wishes.mount is None:
                 raise Refused(

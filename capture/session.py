@@ -93,7 +93,7 @@ class PoseRecord:
     station : str or None
         What the wheel had brought; None without a wheel.
     role : str
-        "sample", "white" or "dark".
+        "sample", "white", "trap" or "dark".
     angles_rad : tuple of float
         Measured angles of `rig.arm_joints`.
     ticks : tuple of int
@@ -182,18 +182,9 @@ class Session:
     def lamp_outputs(self) -> dict[str, float]:
         """Light over what the lamp's level promises, by the shot's ID; those where it was measured.
 
-        From the documents, which hold every frame's; where their end is lost, from the journal's levels,
-        which hold that of the last frame of each visit.
+        See `lamp_outputs`.
         """
-        last = {row.visit: row.lamp_output for row in self.journal.levels()}
-        shots = self.journal.shots()
-        found = {shot.shot_id: last.get(shot.visit) for shot in shots if shot.lit}
-        for name, document in read_documents(self.folder / DOCUMENTS_FILE):
-            data = document.get("data", {}) if name == "event" else {}
-            if data.get("camera_shot_id") in found:
-                found[data["camera_shot_id"]] = data.get("camera_lamp_output")
-        usable = {shot: value for shot, value in found.items() if isinstance(value, float) and value > 0.0}
-        return {shot: value for shot, value in usable.items() if math.isfinite(value)}
+        return lamp_outputs(self.folder, self.journal)
 
     @cached_property
     def sensor(self) -> SensorModel | None:
@@ -214,12 +205,12 @@ class Session:
         return self.journal.poses()
 
     def poses(self, role: str | None = None, *, complete: bool = True) -> list[PoseRecord]:
-        """All poses recorded, in the plan's order, the sample's before the white's before the darks.
+        """All poses recorded, in the plan's order, the sample's, the white's, the light trap's, the darks.
 
         Parameters
         ----------
         role : str, optional
-            Only "sample", "white" or "dark".
+            Only "sample", "white", "trap" or "dark".
         complete : bool
             Only those that count; otherwise also those that the capture has not finished.
 
@@ -231,7 +222,7 @@ class Session:
         for shot in self.journal.shots():
             if shot.state is ShotState.VERIFIED:
                 shots.setdefault(shot.visit, []).append(shot)
-        order = [Role.SAMPLE, Role.WHITE, Role.DARK]
+        order = [Role.SAMPLE, Role.WHITE, Role.TRAP, Role.DARK]
         visits = [
             visit
             for visit in self.journal.visits()
@@ -290,6 +281,23 @@ class Session:
             flags=visit.flags,
             complete=visit.done,
         )
+
+
+def lamp_outputs(folder: Path, journal: Journal) -> dict[str, float]:
+    """Light over what the lamp's level promises, by the shot's ID; those where it was measured.
+
+    From the documents, which hold every frame's; where their end is lost, from the journal's levels, which
+    hold that of the last frame of each visit.
+    """
+    last = {row.visit: row.lamp_output for row in journal.levels()}
+    shots = journal.shots()
+    found = {shot.shot_id: last.get(shot.visit) for shot in shots if shot.lit}
+    for name, document in read_documents(folder / DOCUMENTS_FILE):
+        data = document.get("data", {}) if name == "event" else {}
+        if data.get("camera_shot_id") in found:
+            found[data["camera_shot_id"]] = data.get("camera_lamp_output")
+    usable = {shot: value for shot, value in found.items() if isinstance(value, float) and value > 0.0}
+    return {shot: value for shot, value in usable.items() if math.isfinite(value)}
 
 
 def is_complete(journal: Journal, plan: Plan) -> bool:

@@ -217,6 +217,11 @@ class CameraDevice(_Device):
         """Picture of the last shot, None before the first."""
         return self._last[1] if self._last else None
 
+    @property
+    def lamp_output(self) -> float:
+        """Light of the last shot over what the lamp's level promises; NaN where it was not measured."""
+        return self._last[2] if self._last else math.nan
+
     def prepare(self, value: Shot) -> Status:
         """Set what the next trigger takes."""
         self._next = value

@@ -50,6 +50,13 @@ class TwinLight(Part):
     housing_side_mm: float = Field(
         0.0, ge=0, le=2_000_000, description="of the cube of walls; 0: three times the longer arm"
     )
+    stray_light: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="even light added to every lit frame, as a share of what a perfect diffuser lit along its "
+        "normal shows, 0 to 1",
+    )
     mirrors: tuple[Mirror, ...] = Field(
         (), max_length=20, description="beside the sample, at most 20; they turn with it"
     )

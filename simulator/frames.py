@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -43,7 +44,7 @@ class FrameMaker:
         What lies at its sample stations; see `simulator.materials`. A machine without a wheel shows the first
         of them.
     seed : int
-        The twin's seed: it draws the camera's pixels and the true albedo of the white.
+        The twin's seed: it draws the camera's pixels and the true albedos of white and light trap.
     folder : path, optional
         The hot folder, made where it is missing; by default the rig file's `ports.frames`.
     variant : str, optional
@@ -84,6 +85,7 @@ class FrameMaker:
             materials,
             variant=variant,
             white_rho=self.white_rho,
+            trap_rho=true_trap_rho(rig, seed),
             housing_albedo=housing_albedo,
             tolerance=tolerance,
         )
@@ -120,7 +122,9 @@ class FrameMaker:
         radiance = None
         if request.lit:
             station = request.station or self._mounted
-            radiance = self.renderer.radiance(station, request.angles_rad, request.level * request.output)
+            light = request.level * request.output
+            radiance = self.renderer.radiance(station, request.angles_rad, light)
+            radiance = radiance + self.rig.twin.stray_light * light / math.pi
         counts = self.sensor.expose(
             radiance,
             request.exposure_s,
@@ -206,6 +210,12 @@ def true_white_rho(rig: Rig, seed: int) -> float:
     """
     off = np.random.default_rng(derived_seed("white", seed)).standard_normal()
     return float(min(1.0, rig.white.rho + rig.white.u_rho * off))
+
+
+def true_trap_rho(rig: Rig, seed: int) -> float:
+    """Draw the light trap's true albedo: the stated one, off by its uncertainty, at least 0."""
+    off = np.random.default_rng(derived_seed("trap", seed)).standard_normal()
+    return float(max(0.0, rig.trap.rho + rig.trap.u_rho * off))
 
 
 def write_calibration(folder: Path, sensor: Sensor) -> Path:

@@ -337,7 +337,7 @@ def load_bsdf(mi: Any, material: Material) -> Any:
 
 
 def station_materials(
-    stations: Mapping[str, str], materials: Mapping[str, str | Material], white_rho: float
+    stations: Mapping[str, str], materials: Mapping[str, str | Material], white_rho: float, trap_rho: float = 0.0
 ) -> dict[str, Material]:
     """Decide what lies at each station.
 
@@ -348,8 +348,8 @@ def station_materials(
         mounts what `materials` names.
     materials : mapping of str to (str or Material)
         Specification by station.
-    white_rho : float
-        True albedo of the white.
+    white_rho, trap_rho : float
+        True albedos of the white and of the light trap.
 
     Returns
     -------
@@ -361,7 +361,7 @@ def station_materials(
     BadInput
         A specification is wrong, or names a station that the machine does not have.
     """
-    fixed = {"white": lambert(white_rho, spec="white"), "trap": lambert(0.0, spec="trap")}
+    fixed = {"white": lambert(white_rho, spec="white"), "trap": lambert(trap_rho, spec="trap")}
     kinds = stations or {name: name for name in fixed}
     placed: dict[str, Material] = {name: fixed[kind] for name, kind in kinds.items() if kind in fixed}
     for name, spec in materials.items():

@@ -26,7 +26,7 @@ EXAMPLE = (
     "gonio capture plan.toml --rig rig.toml --out brass    then, if interrupted: gonio capture --resume brass"
 )
 
-ROLES = ("white", "sample")
+ROLES = ("white", "sample", "trap")
 """What a person may have to mount."""
 
 

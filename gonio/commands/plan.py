@@ -98,6 +98,13 @@ def _kind(
         "--darks", type=int, default=3, help="dark frames at each of two exposures; default: 3"
     )
     parser.add_argument(
+        "--trap-every",
+        type=int,
+        default=0,
+        metavar="N",
+        help="shoot the light trap at every so many poses, for the stray light; default: 0, not at all",
+    )
+    parser.add_argument(
         "--mark-spoiled",
         action="store_true",
         help="measure poses whose sample is shaded or hidden, or with the lamp in the picture, and mark them",
@@ -162,6 +169,7 @@ def _content(options: argparse.Namespace) -> dict[str, Any]:
         },
         "exposure": {"snr": options.snr, "first_s": options.first_s, "max_frames": options.max_frames},
         "darks": {"count": options.darks},
+        "trap": {"every": options.trap_every},
         "poses": [{"kind": kind, **generators[options.kind](options)}],
     }
 

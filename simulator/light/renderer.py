@@ -45,6 +45,8 @@ class Renderer:
         Variant of Mitsuba; by default the fastest that can run.
     white_rho : float, optional
         True albedo of the white; by default the one that the rig file states.
+    trap_rho : float
+        True albedo of the light trap; 0 is black.
     housing_albedo : float, optional
         Albedo of the housing; 0 is black surroundings; by default what the rig file says.
     tolerance : float, optional
@@ -69,13 +71,14 @@ class Renderer:
         *,
         variant: str | None = None,
         white_rho: float | None = None,
+        trap_rho: float = 0.0,
         housing_albedo: float | None = None,
         tolerance: float | None = None,
     ) -> None:
         self._rig = rig
         rho = rig.white.rho if white_rho is None else white_rho
         kinds = {name: station.kind for name, station in rig.stations.items()}
-        self.materials = station_materials(kinds, materials, rho)
+        self.materials = station_materials(kinds, materials, rho, trap_rho)
         self._mi = load_mitsuba(variant)
         bsdfs.register(self._mi)
         tolerance = rig.twin.tolerance if tolerance is None else tolerance

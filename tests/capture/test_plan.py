@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capture.itinerary import lay_out
-from capture.plan import ADDED_FIELDS, dump_plan, load_plan, plan_from
+from capture.plan import ADDED_FIELDS, ADDED_PARTS, dump_plan, load_plan, plan_from
 from capture.records import Role
 from rig.description import default_rig as describe
 from rig.errors import BadInput, Refused
@@ -51,6 +51,8 @@ def test_younger_fields_leave_hashes_alone() -> None:
     for part, names in ADDED_FIELDS.items():
         for name in names:
             assert values[part].pop(name) is not None
+    for part in ADDED_PARTS:
+        assert values.pop(part) is not None
     text = json.dumps(values, sort_keys=True, allow_nan=False)
 
     assert plain.hash == hashlib.sha256(text.encode()).hexdigest()
@@ -193,3 +195,12 @@ def test_the_coverage_tells_the_angles(default_rig: Rig) -> None:
     assert coverage["theta_o_max_deg"] == pytest.approx(70.0)
     assert coverage["in_plane"] == 8
     assert coverage["near_specular"] == np.sum(np.abs(np.subtract.outer([30, 40], [-70, 10, 30, 40])) < 10.0)
+
+
+def test_a_trap_needs_its_station(default_rig: Rig) -> None:
+    """Would catch a pass over stray light that the wheel cannot make, found out in the middle of a night."""
+    stations = {name: each for name, each in default_rig.stations.items() if each.kind != "trap"}
+    rig = default_rig.model_copy(update={"stations": stations})
+    plan = plan_from(content(trap={"every": 1}), "test")
+    with pytest.raises(BadInput, match="no light trap"):
+        lay_out(plan, rig)
