@@ -37,6 +37,8 @@ APART = 0.05
 """Distance, as a share of the box, from which on two points may lie in two basins."""
 ALIKE = 1e-4
 """Relative difference of costs below which they lie in one, apart along a shape that does nothing there."""
+PLAIN = 1e-9
+"""Relative difference of costs below which points of a grid lie on one plain."""
 SAME = 1e-2
 """Distance in search coordinates below which a width read from the data is one of the scan's."""
 
@@ -64,7 +66,12 @@ class Grid:
             for flat, index in enumerate(np.ndindex(grid.shape))
             if grid[index] <= grid[tuple(slice(max(i - 1, 0), i + 2) for i in index)].min()
         ]
-        return sorted(lowest, key=lambda flat: float(cost[flat]))[:BASINS]
+        kept: list[int] = []
+        for flat in sorted(lowest, key=lambda flat: float(cost[flat])):
+            # Where no lobe helps, its shapes do nothing: all of that plain is one basin.
+            if not kept or cost[flat] - cost[kept[-1]] > PLAIN * cost[flat]:
+                kept.append(flat)
+        return kept[:BASINS]
 
 
 def grid(problem: Problem, slope: float | None) -> Grid:

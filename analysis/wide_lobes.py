@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from analysis.descent import descend
 from analysis.equations import Linearised
 from analysis.identifiability import Caution, Kind, correlation_matrix
+from analysis.solver import FEW, thinned
 
 if TYPE_CHECKING:
     from analysis.covariance import NormalEquations
@@ -89,14 +90,12 @@ def without_diffuse(block: Block) -> float:
     """
     problem, best, loss = block.problem, block.solution, block.loss.by_channel()
     size = Linearised(problem, loss).size(problem.terms(best.shapes[None]).lobe)[0]
-    equations = Linearised(problem, loss, fixed_size=size)
     low, high = problem.bounds()
     dark, bright = np.zeros(problem.channels), np.full(problem.channels, np.inf)
-    found = descend(
-        equations.all_parameters,
-        np.concatenate([best.shapes, dark, size * best.ks])[None],
-        (np.concatenate([low, dark, dark]), np.concatenate([high, dark, bright])),
-        tolerance=TOLERANCE,
-        most=MOST_STEPS,
-    )
-    return float(np.sqrt(found.cost[0] / best.cost)) if best.cost > 0.0 else 1.0
+    bounds = np.concatenate([low, dark, dark]), np.concatenate([high, dark, bright])
+    x = np.concatenate([best.shapes, dark, size * best.ks])[None]
+    # The way is long, and most of it can be gone on few samples.
+    for some in (thinned(problem, block.loss, FEW), (problem, loss)):
+        equations = Linearised(*some, fixed_size=size)
+        x, cost = descend(equations.all_parameters, x, bounds, tolerance=TOLERANCE, most=MOST_STEPS)
+    return float(np.sqrt(cost[0] / best.cost)) if best.cost > 0.0 else 1.0

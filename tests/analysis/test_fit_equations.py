@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.descent import descend
 from analysis.equations import Linearised
 from analysis.fit import fit
 from analysis.jacobian import search_jacobian
@@ -13,6 +14,7 @@ from analysis.models import FITTED_MODELS, MODELS
 from analysis.models.base import Geometry, Kind
 from analysis.problem import Problem
 from analysis.samples import make_samples
+from analysis.solver import evaluate_near, minimise
 from rig.angles import spherical_to_direction
 
 SCALES = {"kd": [0.1, 0.2, 0.3], "ks": [0.5, 0.3, 0.4]}
@@ -112,3 +114,20 @@ def test_normal_equations_are_those_of_the_whole_jacobian(name):
     found = whole.all_parameters(x[None], np.zeros(1, dtype=np.intp)).normal[0]
     size = columns.shape[1]
     np.testing.assert_allclose(found[:size, :size], columns.T @ columns, rtol=1e-9, atol=1e-12)
+
+
+def test_a_line_across_a_minimum_is_not_lifted():
+    """Catches costs that secants leave too high, so that a minimum across a ridge is not seen."""
+    problem, (f_r, used, cos_i, _), _ = drawn_problem("torrance-sparrow-gauss")
+    loss = make_loss("log", f_r * np.linspace(1.0, 2.0, len(f_r))[:, None], used, cos_i, None)
+    best = minimise(problem, loss)
+    equations = Linearised(problem, loss.by_channel())
+    points = best.shapes + np.array([[0.0, 0.0], [0.0, 0.1], [0.0, -0.1]])
+    low = np.hstack([points, np.zeros((3, 6))])
+    high = np.hstack([points, np.full((3, 6), np.inf)])
+    size = equations.size(problem.terms(points).lobe)
+    start = np.hstack([points, np.tile(best.kd, (3, 1)), best.ks * size])
+    true = descend(equations.all_parameters, start, (low, high), tolerance=1e-12, most=100).cost
+    found = np.array([each.cost for each in evaluate_near(equations, points, best)])
+    np.testing.assert_allclose(found, true, rtol=1e-4)
+    assert found[0] == pytest.approx(best.cost, rel=1e-6)

@@ -94,3 +94,10 @@ def test_points_of_one_basin_count_once():
     )
     cost = np.array([1.0, 1.0, 1.1, 2.0])
     assert starts.apart(problem, low + share * (high - low), cost, 5) == [0, 3]
+
+
+def test_a_plain_of_equal_costs_is_one_basin():
+    """Catches starts spent on shapes of a lobe that is not there, each followed to its end."""
+    cost = np.array([3.0, 3.0, 3.0, 3.0, 1.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 2.0])
+    points = np.arange(12.0)[:, None]
+    assert starts.Grid(points, (12,)).basins(cost) == [4, 11, 0]
