@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from gonio.output import print_json
+from gonio.output import Progress, print_json
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -51,11 +51,15 @@ def audit(options: argparse.Namespace) -> int:
     tolerance = rig.twin.tolerance if options.tolerance is None else options.tolerance
     albedo = rig.twin.housing_albedo if options.housing_albedo is None else options.housing_albedo
     poses = audit_poses(rig, options.poses, options.seed)
-    ask = explain if options.explain else stray_light
+    materials = options.material or [_DEFAULT_MATERIAL]
     answers: dict[str, Any] = {}
-    for material in options.material or [_DEFAULT_MATERIAL]:
+    progress = Progress("poses", len(materials) * len(poses))
+    for material in materials:
         mi, scene = audit_scene(rig, material, housing_albedo=albedo, variant=options.variant)
-        answers[material] = ask(mi, scene, poses, tolerance)
+        if options.explain:
+            answers[material] = explain(mi, scene, poses, tolerance)
+        else:
+            answers[material] = stray_light(mi, scene, poses, tolerance, progress)
     if options.json:
         print_json(
             {

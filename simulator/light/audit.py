@@ -45,6 +45,10 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _FEWEST_RENDERS, _MOST_RENDERS = 4, 64
+_LOOK = 0.5
+"""Relative error of a first look at a class by itself, which tells how much it matters."""
+_STRAY_ERROR = 0.02
+"""Error of a pose's stray light, relative to itself, at which its classes are known well enough."""
 _LOWEST = 0.1
 """Least height of lamp and camera over the sample's plane, in units of their distance."""
 
@@ -183,7 +187,13 @@ def _followed(plan: Plan) -> str | None:
     return plan.decision.parts[0].method.name if plan.scene.obstructed and plan.decision.parts else None
 
 
-def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) -> dict[str, Any]:
+def stray_light(
+    mi: Any,
+    scene: Scene,
+    poses: Sequence[Pose],
+    tolerance: float,
+    progress: Callable[[], object] = lambda: None,
+) -> dict[str, Any]:
     """Compute the share of every path class at each pose.
 
     Parameters
@@ -191,7 +201,11 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
     mi, scene, poses
         As in `explain`.
     tolerance : float
-        Error wanted of each class, relative to its own radiance.
+        Error wanted of each share. Those of stray light are computed to 2 % of all stray light of their pose
+        besides, so that a small sum is not lost in the tolerance, and no class is followed further than it
+        matters to that sum.
+    progress : callable, optional
+        Called after each pose.
 
     Returns
     -------
@@ -210,13 +224,10 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
     chooser = Chooser(mi, scene, tolerance, methods)
     classes = chooser.classes
     means = [*_traced(mi, scene, chooser, tolerance), *_alone(mi, scene, chooser, tolerance)]
-    stray = np.array([bool(path_class.paths.with_events(2)) for path_class in classes])
+    stray = np.array([bool(path_class.paths.with_events(2)) for path_class in classes], dtype=bool)
     told = []
     for pose in poses:
-        found = np.full((len(classes), 2), np.nan)
-        seen = _seen(scene, pose)
-        for numbers, mean in means if seen.any() else ():
-            found[numbers] = mean(pose, seen)
+        found = _found(pose, _seen(scene, pose), means, stray, tolerance)
         total = np.nansum(found[:, 0])
         shares = found[:, 0] / total if total > 0.0 else np.full(len(found), np.nan)
         told.append(
@@ -228,12 +239,29 @@ def stray_light(mi: Any, scene: Scene, poses: Sequence[Pose], tolerance: float) 
                 "solids": None if scene.obstructed else solids.at(pose).share,
             }
         )
+        progress()
     names = [path_class.name for path_class in classes]
     return {"paths": str(light_paths(scene)), "classes": names, "poses": told}
 
 
-_Means = tuple[list[int], "Callable[[Pose, Bools], Array]"]
-"""Numbers of classes, and what gives their mean radiances over pixels and the errors of those, (C, 2)."""
+_Means = tuple[list[int], "Callable[[Pose, Bools, float], Array]"]
+"""Numbers of classes, and what gives their mean radiances over pixels and the errors of those, (C, 2), given
+the error that is allowed."""
+
+
+def _found(pose: Pose, seen: Bools, means: Sequence[_Means], stray: Bools, tolerance: float) -> Array:
+    """Mean radiance of every class and its error, (C, 2): looked at first, then as exactly as it matters."""
+    found = np.full((len(stray), 2), np.nan)
+    if not seen.any():
+        return found
+    for numbers, mean in means:
+        found[numbers] = mean(pose, seen, np.inf)
+    total, added = np.nansum(found[:, 0]), np.nansum(found[stray, 0])
+    allowed = np.where(stray, min(tolerance * total, _STRAY_ERROR * added), tolerance * total)
+    for numbers, mean in means:
+        if np.any(found[numbers, 1] > allowed[numbers]):
+            found[numbers] = mean(pose, seen, float(allowed[numbers].min()))
+    return found
 
 
 def _quickest(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> dict[int, Method]:
@@ -256,11 +284,11 @@ def _traced(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> list[_
         return []
     classes = PathClasses(mi, scene, [chooser.classes[number].paths for number in numbers])
 
-    def mean(pose: Pose, seen: Bools) -> Array:
+    def mean(pose: Pose, seen: Bools, allowed: float) -> Array:
         renders = _FEWEST_RENDERS
         while True:
             found = np.array([_mean_of(estimate, seen) for estimate in classes.estimates(pose, renders)])
-            if np.all(found[:, 1] <= tolerance * found[:, 0]) or renders >= _MOST_RENDERS:
+            if np.all(found[:, 1] <= allowed) or renders >= _MOST_RENDERS:
                 return found
             renders *= 2
 
@@ -281,11 +309,15 @@ def _alone(mi: Any, scene: Scene, chooser: Chooser, tolerance: float) -> list[_M
             continue
         evaluator = method.build(mi, scene, chooser.classes[number].paths)
 
-        def mean(pose: Pose, seen: Bools, *, method: Method = method, by: Evaluator = evaluator) -> Array:
-            rendering = by.render(pose, tolerance)
-            error = rendering.error + method.leaves_out(mi, scene, pose)
-            level = rendering.radiance[seen].mean()
-            return np.array([[level, level * error]])
+        def mean(
+            pose: Pose, seen: Bools, allowed: float, *, method: Method = method, by: Evaluator = evaluator
+        ) -> Array:
+            rendering = by.render(pose, _LOOK)
+            level = float(rendering.radiance[seen].mean())
+            if level * rendering.error > allowed:
+                rendering = by.render(pose, allowed / level)
+                level = float(rendering.radiance[seen].mean())
+            return np.array([[level, level * (rendering.error + method.leaves_out(mi, scene, pose))]])
 
         found.append(([number], mean))
     return found

@@ -45,6 +45,7 @@ def test_shares_add_up_and_are_within_their_bounds(audited: tuple[Any, Any]) -> 
         assert sum(pose["shares"]) == pytest.approx(1.0)
         assert pose["stray"] == pytest.approx(sum(pose["shares"][1:]))
         assert 0.0 < pose["stray"] < 0.2
+        assert math.hypot(*pose["errors"][1:]) <= 0.02 * math.sqrt(3.0) * pose["stray"]
         for row, share in zip(expected["classes"], pose["shares"], strict=True):
             assert 0.0 < share <= row["bound"]
 
