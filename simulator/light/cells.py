@@ -24,8 +24,11 @@ _NODES = np.array([-1.0, 0.0, 1.0])
 _SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
 _NEAR = 1.0
 """Distance of lamp and cell, in sides of a cell, up to which it is bounded by intervals."""
-_SAMPLE_MARGIN, _CELL_MARGIN = 1.1, 1.1
-"""What a place of the sample, or of a cell, may receive above the mean that form factors know."""
+_SAMPLE_MARGIN, _CELL_MARGIN = 1.03, 1.05
+"""What the sample, or a place of a cell, may receive above what form factors know."""
+_SPREAD = 2.0
+"""What a sample may receive on top, in squares of its radius over the walls' distance: form factors are its
+middle's, and the camera sees as much on either side of it."""
 
 
 class Cells:
@@ -65,9 +68,10 @@ class Cells:
         means = np.outer(_SIMPSON, _SIMPSON).ravel()
         area = self._walls.patch_area
         self._seen_by_sample = (here * there / distance**2) @ means * area / np.pi
+        self._margin = _SAMPLE_MARGIN + _SPREAD * (sample_radius_mm / half_size_mm) ** 2
         disc_area = np.pi * sample_radius_mm**2
         visible = disc_area * (there / distance**2).max(axis=1) * self.above
-        self.from_sample = _SAMPLE_MARGIN * visible
+        self.from_sample = self._margin * visible
 
     def lit_by(
         self, lamp_mm: Array, intensity: float, radius_mm: float, axis: Array | None
@@ -118,7 +122,7 @@ class Cells:
 
     def on_sample(self, leaving: Array) -> Array:
         """Irradiance (P, channels) of the sample by radiosities (P, cells, channels) of walls, at most."""
-        return np.asarray(_SAMPLE_MARGIN * (self._seen_by_sample @ leaving))
+        return np.asarray(self._margin * (self._seen_by_sample @ leaving))
 
     def seen(self, directions: Array) -> Indices:
         """Return the cells (...) that the sample's centre sees in directions (..., 3)."""

@@ -32,7 +32,7 @@ NOT_PLAIN = "it takes the sample for flat, level and alike everywhere"
 """Why a method is not asked about a scene whose sample is not."""
 
 
-MOST_SKIPPED = 0.9
+MOST_SKIPPED = 0.97
 """Part of the tolerance that may be spent on what is skipped: what is left, methods must do with."""
 
 
