@@ -82,6 +82,9 @@ class PtyLine:
             except OSError:  # EIO: nothing left, and nobody there
                 self._deserted = True
                 break
+        if chunks or not self._deserted:
+            # A client has come: the next hang-up is its own, whether or not ours was ever reported.
+            self._hang_up_is_ours = False
         return b"".join(chunks)
 
     def write(self, data: bytes) -> None:
