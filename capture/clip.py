@@ -7,7 +7,7 @@ level near the top of a frame, where a shorter frame says that they should diffe
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -141,6 +141,32 @@ def _spike(samples: NDArray[Any]) -> tuple[float, float]:
     return level, 1.4826 * float(np.median(samples[samples >= level] - level))
 
 
+class RampLevels(NamedTuple):
+    """Where the ramp runs at each position of the cell, each of shape (2, 2).
+
+    Attributes
+    ----------
+    start, end : ndarray
+        Counts from which a sample loses weight, and from which it has none.
+    slope : ndarray
+        Weight lost per DN between them.
+    clipped : ndarray
+        Count from which a sample is clipped.
+    """
+
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    clipped: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, clip_dn: NDArray[np.float64], black_dn: NDArray[np.float64]) -> RampLevels:
+        """Levels for clip levels, which may be infinite, and black levels."""
+        span = np.minimum(clip_dn - black_dn, _NEVER)
+        start, end, clipped = (black_dn + part * span for part in (RAMP_START, RAMP_END, CLIPPED))
+        return cls(start, end, 1.0 / (end - start), clipped)
+
+
 class Ramp:
     """Weights of samples near the clip level, as tiles over a block of rows.
 
@@ -161,15 +187,14 @@ class Ramp:
         shape: tuple[int, int],
         dtype: np.dtype[np.floating],
     ) -> None:
-        span = np.minimum(clip_dn - black_dn, _NEVER)
-        start, end, clipped = (black_dn + part * span for part in (RAMP_START, RAMP_END, CLIPPED))
-        self.lowest_start = float(start.min())
+        levels = RampLevels.of(clip_dn, black_dn)
+        self.lowest_start = float(levels.start.min())
         """No sample below this level is near its clip level."""
-        self.highest_end = float(end.max())
+        self.highest_end = float(levels.end.max())
         """No sample from this level on has any weight."""
-        self._end = self._tile(end, shape).astype(dtype)
-        self._slope = self._tile(1.0 / (end - start), shape).astype(dtype)
-        self._clipped = self._tile(clipped, shape).astype(dtype)
+        self._end = self._tile(levels.end, shape).astype(dtype)
+        self._slope = self._tile(levels.slope, shape).astype(dtype)
+        self._clipped = self._tile(levels.clipped, shape).astype(dtype)
 
     @staticmethod
     def _tile(cell: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -70,12 +70,6 @@ class Stack:
         limit = min(self.exposure_s) * (1.0 + 1e-9)
         return tuple(index for index, seconds in enumerate(self.exposure_s) if seconds <= limit)
 
-    def band_rows(self, least: int) -> int:
-        """Rows to read at once, even and at least so many: whole segments of files that are compressed."""
-        deep = max((getattr(frame, "band_rows", 1) for frame in self.counts), default=1)
-        pair = math.lcm(deep, 2)
-        return max(1, -(-least // pair)) * pair
-
     def thinned(self, step: int) -> Stack:
         """Return the same stack with one in `step` of its pieces, in memory; see `thin`."""
         return replace(self, counts=tuple(thin(frame, step) for frame in self.counts))

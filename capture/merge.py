@@ -12,10 +12,10 @@ Poisson estimate stands. w_i falls softly from 1 to 0 towards the clip level, an
 sample of the same 2 x 2 cell. The variance is that of the weights applied; it holds noise only, no
 calibration error. Negative values stay.
 
-The frames are worked through in blocks that fit the processor's cache (`capture.block`), on two threads, in
-float64 up to `WIDE_PIXELS` pixels and in float32 above, where rounding (1e-6) is far below any noise. The
-result does not depend on the blocks or the threads. Large files are read by bands of rows, so that more
-frames need no more memory.
+The frames are worked through in blocks that fit the processor's cache, on two threads, in float64 up to
+`WIDE_PIXELS` pixels (`capture.block`) and in float32 above, where rounding (1e-6) is far below any noise;
+large frames of integers by compiled code (`capture.compiled`). The result does not depend on the blocks or
+the threads. Large files are read by bands of rows, so that more frames need no more memory.
 """
 
 from __future__ import annotations
@@ -176,7 +176,6 @@ def merge_stack(
         hot=dark.hot,
         clip_dn=clip,
         black_dn=black_cell(dark),
-        band_rows=stack.band_rows,
     )
     rules = Rules(
         exposure_s=tuple(stack.exposure_s[index] for index in order),
