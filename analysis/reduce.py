@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.corrections import Correction, u_linearity_of
 from analysis.measurement import Options, PoseSamples, reduce_pose
 from analysis.samples import make_samples
 from analysis.session_images import SessionImages
 from analysis.white import white_of
 from analysis.white_calibration import WHITE_FILE, load_white
+from capture.records import SPOILED
 from capture.session import CALIBRATION_FOLDER
 from rig.errors import BadInput
 from rig.pixels import receiver_solid_angle_sr, source_solid_angle_sr
@@ -36,6 +38,10 @@ if TYPE_CHECKING:
     from rig.description import Rig
 
     Float = NDArray[np.float64]
+
+SPOILED_POSE = 16
+"""Bit of the samples' `flags`, beside those of `analysis.binning.Dropped`: the values are there, but the plan
+knew that a solid shades or hides the sample at their pose, or that the lamp is in the picture."""
 
 THREADS = 2
 """Decoding and merging release the interpreter; more threads than two wait for the disk."""
@@ -55,12 +61,15 @@ class ReducedPose:
         Encoder positions of the arms' joints.
     samples : PoseSamples
         The samples.
+    spoiled : bool
+        Whether the plan knew that something is in the way there, or the lamp in the picture.
     """
 
     number: int
     white_number: int
     ticks: tuple[int, ...]
     samples: PoseSamples
+    spoiled: bool = False
 
 
 def reduce_session(
@@ -88,7 +97,8 @@ def reduce_session(
         For a session without a complete pose, or with a frame that cannot be read.
     """
     options = options or Options()
-    images = SessionImages(session)
+    straight = options.corrects(Correction.LINEARITY)
+    images = SessionImages(session, straight=straight)
     pairs = images.pairs()
     mosaic = images.mosaic()
     reference = session_white(session, len(mosaic.names))
@@ -98,7 +108,8 @@ def reduce_session(
         reduced = reduce_pose(
             session.rig, images.load(pair), mosaic, reference, u_joint_rad=u_joint_rad, options=options
         )
-        return ReducedPose(pair.sample.index, pair.white.index, images.arm_ticks(pair.sample), reduced)
+        ticks, spoiled = images.arm_ticks(pair.sample), bool(pair.sample.flags & SPOILED)
+        return ReducedPose(pair.sample.index, pair.white.index, ticks, reduced, spoiled)
 
     poses = []
     with ThreadPoolExecutor(THREADS) as pool:
@@ -113,7 +124,7 @@ def reduce_session(
         options=options,
         source=session.name,
         provenance=images.provenance() | {"white": reference.name},
-        linearity_error=(session.sensor.linearity_error if session.sensor is not None else None),
+        u_linearity=u_linearity_of(session.sensor, corrected=straight),
     )
 
 
@@ -146,7 +157,7 @@ def assemble(
     options: Options,
     source: str = "",
     provenance: Mapping[str, str] | None = None,
-    linearity_error: float | None = None,
+    u_linearity: float | None = None,
 ) -> xr.Dataset:
     """Put the samples of all poses into one table.
 
@@ -164,8 +175,8 @@ def assemble(
         Where they come from.
     provenance : mapping of str to str, optional
         Hashes and versions, recorded as attributes.
-    linearity_error : float, optional
-        Mean relative deviation of the sensor's response from a straight line; None where it is not known.
+    u_linearity : float, optional
+        Relative uncertainty by the sensor's response; None where it is not known.
 
     Raises
     ------
@@ -194,13 +205,13 @@ def assemble(
         source_solid_angle_sr=source_solid_angle_sr(rig),
         receiver_solid_angle_sr=receiver_solid_angle_sr(rig),
         source=source,
-        flags=joined("dropped"),
+        flags=joined("dropped") | np.repeat([pose.spoiled * SPOILED_POSE for pose in poses], counts)[:, None],
         u_noise=joined("u_noise"),
         u_white=joined("u_white"),
         u_reference=joined("u_reference"),
         u_binning=joined("u_binning"),
         u_lamp=joined("u_lamp"),
-        u_linearity=None if linearity_error is None else _bent(joined("f_r"), linearity_error),
+        u_linearity=None if u_linearity is None else np.abs(joined("f_r")) * u_linearity,
         u_stray=None if any(part.u_stray is None for part in parts) else joined("u_stray"),
         u_flat=joined("u_flat"),
         flat_group=joined("bin_index"),
@@ -220,15 +231,6 @@ def assemble(
     samples.attrs |= _totals("dropped", [part.bins_dropped for part in parts])
     samples.attrs |= dict(provenance or {})
     return samples
-
-
-def _bent(f_r: NDArray[Any], linearity_error: float) -> Float:
-    """Uncertainty of f_r by a response that is not quite straight, 1/sr.
-
-    Sample and white are counted at different levels, each off by its own deviation: sqrt(2) of their standard
-    deviation, which is sqrt(pi / 2) of the mean absolute one where they are normal.
-    """
-    return np.asarray(np.abs(f_r) * linearity_error * math.sqrt(math.pi))
 
 
 def _totals(prefix: str, counts: Sequence[Mapping[str, int]]) -> dict[str, int]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from capture.records import PoseFlag
 from rig.angles import direction_to_spherical
 from rig.approach import leads_rad
 from rig.clearance import Clearance
@@ -21,6 +22,8 @@ from rig.errors import Refused
 from rig.shadows import Shadows
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy.typing as npt
 
     from rig.angles import FloatArray
@@ -50,8 +53,12 @@ class Reason(StrEnum):
     LAMP_IN_VIEW = "the lamp shines into the camera's frame"
 
 
-SPOILED = frozenset({Reason.SHADED, Reason.HIDDEN, Reason.LAMP_IN_VIEW})
-"""Poses that the machine can take, but whose pictures are not of the sample in the lamp's light."""
+SPOILED: Mapping[Reason, PoseFlag] = {
+    Reason.SHADED: PoseFlag.SHADED,
+    Reason.HIDDEN: PoseFlag.HIDDEN,
+    Reason.LAMP_IN_VIEW: PoseFlag.LAMP_IN_VIEW,
+}
+"""Marks of poses that the machine can take, but whose pictures are not of the sample in the lamp's light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +108,11 @@ class Feasible:
     def counts(self) -> dict[str, int]:
         """How many poses are refused, by reason."""
         return dict(Counter(refusal.reason.value for refusal in self.refusals))
+
+    @property
+    def flags(self) -> dict[int, PoseFlag]:
+        """Marks of the poses that are taken though they are spoiled, by their place in the set."""
+        return {mark.index: SPOILED[mark.reason] for mark in self.marks}
 
     @property
     def marked(self) -> dict[str, int]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture.feasible import Feasible, Obstacles, feasible
-from capture.records import PlannedPose, Role, Visit
+from capture.records import NO_FLAG, PlannedPose, Role, Visit
 from capture.route import order_by_travel, path_s
 from capture.travel import Travel, travel_past
 from rig.angles import direction_to_spherical, half_difference
@@ -102,7 +102,10 @@ class Itinerary:
             rows = self.rows_of(role)
             for row in rows if number % 2 == 0 else rows[::-1]:
                 pose = int(self.feasible.taken[row])
-                visits.append(Visit(len(visits), role, pose, station, _tuple(self.angles_rad[row])))
+                # A solid of the machine is in the way of whatever lies in the middle.
+                flags = self.feasible.flags.get(pose, NO_FLAG)
+                angles_rad = _tuple(self.angles_rad[row])
+                visits.append(Visit(len(visits), role, pose, station, angles_rad, flags=flags))
         return visits
 
     def forecast(self) -> Forecast:

@@ -16,7 +16,18 @@ import time
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from capture.journal_schema import ADDED, SCHEMA, SCHEMA_VERSION
-from capture.records import Event, Held, LevelsRecord, PlannedPose, PoseFlag, Role, Shot, ShotState, Visit
+from capture.records import (
+    SPOILED,
+    Event,
+    Held,
+    LevelsRecord,
+    PlannedPose,
+    PoseFlag,
+    Role,
+    Shot,
+    ShotState,
+    Visit,
+)
 from capture.statistics import FrameStatistics
 from rig.errors import BadInput, Refused
 
@@ -194,9 +205,12 @@ class Journal:
         """Add planned visits; one that is there already, by role and pose, stays as it is."""
         with self._change() as change:
             change.executemany(
-                "INSERT INTO visits (visit, role, pose, station, angles_rad) VALUES (?, ?, ?, ?, ?) "
-                "ON CONFLICT (role, pose) DO NOTHING",
-                [(v.number, v.role.value, v.pose, v.station, _text(v.angles_rad)) for v in visits],
+                "INSERT INTO visits (visit, role, pose, station, angles_rad, flags) "
+                "VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (role, pose) DO NOTHING",
+                [
+                    (v.number, v.role.value, v.pose, v.station, _text(v.angles_rad), int(v.flags))
+                    for v in visits
+                ],
             )
 
     def hold(self, visit: int, held: Held) -> None:
@@ -245,21 +259,27 @@ class Journal:
                 "WHERE shot_id = ?",
                 (now(), shot.shot_id),
             )
-            change.execute("UPDATE visits SET flags = 0, done = 0 WHERE visit = ?", (shot.visit,))
+            change.execute(
+                "UPDATE visits SET flags = flags & ?, done = 0 WHERE visit = ?", (int(SPOILED), shot.visit)
+            )
 
     def reopen(self, visit: int) -> None:
         """Forget a visit's shots and place, because the arms no longer stand where they stood."""
         with self._change() as change:
             change.execute("DELETE FROM shots WHERE visit = ?", (visit,))
             change.execute(
-                "UPDATE visits SET held_ticks = NULL, held_rad = NULL, flags = 0, done = 0 WHERE visit = ?",
-                (visit,),
+                "UPDATE visits SET held_ticks = NULL, held_rad = NULL, flags = flags & ?, done = 0 "
+                "WHERE visit = ?",
+                (int(SPOILED), visit),
             )
 
     def finish(self, visit: int, flags: PoseFlag) -> None:
-        """Record that all frames of a visit are hashed and checked."""
+        """Record that all frames of a visit are hashed and checked, and what they could not reach."""
         with self._change() as change:
-            change.execute("UPDATE visits SET flags = ?, done = 1 WHERE visit = ?", (int(flags), visit))
+            change.execute(
+                "UPDATE visits SET flags = (flags & ?) | ?, done = 1 WHERE visit = ?",
+                (int(SPOILED), int(flags), visit),
+            )
 
     def log_levels(self, levels: LevelsRecord) -> None:
         """Record the levels at the end of a visit."""

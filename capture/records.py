@@ -31,7 +31,7 @@ class ShotState(StrEnum):
 
 
 class PoseFlag(IntFlag):
-    """What a pose's frames could not reach; the values are part of the file format."""
+    """What to know about a pose and its frames; the values are part of the file format."""
 
     OVER_RANGE = 1
     """The brightest part clips even in the shortest frame."""
@@ -39,9 +39,18 @@ class PoseFlag(IntFlag):
     """The brightest part stays below the wanted level even in the longest frame."""
     NOISY = 4
     """The dim part stays below the plan's signal-to-noise ratio."""
+    SHADED = 8
+    """A solid of the machine shades what is measured."""
+    HIDDEN = 16
+    """A solid of the machine hides it from the camera."""
+    LAMP_IN_VIEW = 32
+    """The lamp shines into the camera's frame."""
 
 
 NO_FLAG = PoseFlag(0)
+
+SPOILED = PoseFlag.SHADED | PoseFlag.HIDDEN | PoseFlag.LAMP_IN_VIEW
+"""What the plan knew before: the pictures are not of the sample in the lamp's light alone."""
 
 
 @dataclass(frozen=True, slots=True)

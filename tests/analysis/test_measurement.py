@@ -10,7 +10,7 @@ import pytest
 
 from analysis.measurement import Image, Mosaic, Options, PoseImages, reduce_pose
 from analysis.models import MODELS
-from analysis.reduce import ReducedPose, assemble, joint_resolution
+from analysis.reduce import SPOILED_POSE, ReducedPose, assemble, joint_resolution
 from analysis.white import LambertianWhite
 from capture.merge import Flag
 from rig.kinematics import Kinematics
@@ -222,6 +222,11 @@ def test_assembled_table_states_everything(default_rig: Rig, reduce_one: Callabl
         shared["white_group"].to_numpy()[shared["pose"] == 1]
     )
     assert len(common) > 150
+    marked = assemble(default_rig, [parts[0], replace(parts[1], spoiled=True)], NAMES, options=Options())
+    spoiled = (table["pose"] == 1).to_numpy()
+    bits = marked["flags"].to_numpy() - table["flags"].to_numpy()
+    assert (bits == np.where(spoiled, SPOILED_POSE, 0)[:, None]).all()
+    assert np.array_equal(marked["f_r"], table["f_r"], equal_nan=True)
     assert table.identical(assemble(default_rig, parts, NAMES, options=Options(), source="test"))
 
 

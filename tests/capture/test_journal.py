@@ -7,6 +7,7 @@ import sqlite3
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -65,6 +66,21 @@ def test_a_shot_from_intent_to_verified(journal: Journal) -> None:
     done = journal.visits()[0]
     assert (done.done, done.flags) == (True, PoseFlag.NOISY | PoseFlag.UNDER_RANGE)
     assert done.held == Held((1, 2, 3), (0.1, THIRD))
+
+
+def test_what_the_plan_knew_of_a_pose_stays(tmp_path: Path) -> None:
+    """Would catch a mark that is lost when the pose is done, shot again, or its arms stand elsewhere."""
+    visit = replace(VISITS[0], flags=PoseFlag.SHADED)
+    journal = Journal.create(tmp_path / "marked.db", POSES, [visit])
+    assert journal.visits() == [visit]
+    journal.intend(first_shot())
+    journal.finish(0, PoseFlag.NOISY)
+    assert journal.visits()[0].flags == PoseFlag.SHADED | PoseFlag.NOISY
+    journal.withdraw(first_shot())
+    assert journal.visits()[0].flags == PoseFlag.SHADED
+    journal.finish(0, PoseFlag.OVER_RANGE)
+    journal.reopen(0)
+    assert journal.visits() == [visit]
 
 
 def test_an_intent_is_made_once(journal: Journal) -> None:

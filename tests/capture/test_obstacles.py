@@ -11,6 +11,7 @@ from capture.feasible import Obstacles, Reason, feasible
 from capture.itinerary import lay_out
 from capture.plan import plan_from
 from capture.poses import listed
+from capture.records import NO_FLAG, PoseFlag, Role
 from capture.travel import travel_past
 from rig.approach import leads_rad
 from rig.clearance import Clearance
@@ -112,6 +113,9 @@ def test_a_spoiled_pose_is_dropped_or_marked() -> None:
     assert marked.forecast().poses == 3
     assert marked.forecast().marked_by == {Reason.SHADED: 1, Reason.HIDDEN: 1}
     assert [mark.index for mark in marked.feasible.marks] == [0, 2]
+    flags = {(visit.role, visit.pose): visit.flags for visit in marked.visits()}
+    for role in (Role.WHITE, Role.SAMPLE):  # whatever lies there is shaded
+        assert [flags[role, pose] for pose in range(3)] == [PoseFlag.SHADED, NO_FLAG, PoseFlag.HIDDEN]
 
 
 def test_the_lamp_in_the_picture_is_seen() -> None:
