@@ -88,10 +88,15 @@ class Judged:
     others: list[Way]
 
     @property
+    def quickest(self) -> Way:
+        """The quickest way that is right; the chosen one if none is."""
+        right = [way for way in self.others if way.error <= self.tolerance]
+        return min([*right, self.chosen], key=lambda way: way.seconds)
+
+    @property
     def slower_by(self) -> float:
         """Time of the chosen way over that of the quickest that is right."""
-        right = [way.seconds for way in self.others if way.error <= self.tolerance]
-        return self.chosen.seconds / min([*right, self.chosen.seconds])
+        return self.chosen.seconds / self.quickest.seconds
 
     @property
     def with_deciding(self) -> float:
@@ -239,6 +244,7 @@ def _rows(judged: Sequence[Judged], tolerance: float) -> list[dict[str, Any]]:
         row(f"{label}: the same, if each pose is decided by itself", np.mean(alone <= TWICE)),
         row(f"{label}: time over the quickest right way's, median", np.median(slower), "x"),
         row(f"{label}: the same, worst ({slowest.drawn.label})", slower.max(), "x"),
+        *(_slow_row(label, one) for one in those if one.slower_by > TWICE),
         *(
             row(f"{label}: time of a decision, {what}, median", 1e3 * np.median(times), "ms")
             for what, times in (
@@ -250,6 +256,16 @@ def _rows(judged: Sequence[Judged], tolerance: float) -> list[dict[str, Any]]:
         row(f"{label}: predicted over measured time, lowest tenth", np.quantile(ratios, 0.1), "x"),
         row(f"{label}: predicted over measured time, highest tenth", np.quantile(ratios, 0.9), "x"),
     ]
+
+
+def _slow_row(label: str, one: Judged) -> dict[str, Any]:
+    """Name a scene whose choice is not quick, and what would have been."""
+    quicker = f"{one.quickest.name}, error {one.quickest.error:.2g}"
+    return row(
+        f"{label}: slower than twice ({one.drawn.label}): {one.chosen.name}; quicker: {quicker}",
+        one.slower_by,
+        "x",
+    )
 
 
 def draw(path: Path, judged: Sequence[Judged]) -> None:
