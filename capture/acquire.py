@@ -6,12 +6,14 @@ every decision is taken from there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from bluesky import plan_stubs
 from bluesky.utils import FailedStatus, Msg
 
+from capture.drift import Moment
 from capture.exposure import Chooser, Observation
 from capture.interruptions import SKIPPED
 from capture.records import NO_FLAG, Held, PoseFlag, Role, Shot, ShotState, Visit
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
     from pathlib import Path
 
+    from capture.drift import DriftWatch
     from capture.examine import Examiner
     from capture.journal import Journal
     from capture.pause import Supervision
@@ -61,6 +64,8 @@ class Acquisition:
         Told of each visit that is done.
     supervision : Supervision
         Looks at the levels, and pauses.
+    drift : DriftWatch
+        Says when a reference is due.
     patience : Patience
         How many poses in a row may be skipped.
     say : callable
@@ -78,6 +83,7 @@ class Acquisition:
     finishing: Callable[[], bool]
     visited: Callable[[Visit], None]
     supervision: Supervision
+    drift: DriftWatch
     patience: Patience
     say: Callable[[str], None]
 
@@ -115,6 +121,7 @@ class Acquisition:
             try:
                 if (yield from self.supervision.keep(visit.role)) and self.finishing():
                     break
+                yield from self._refresh(visit.role)
                 yield from self._visit(visit)
             except (GonioError, FailedStatus) as error:
                 cause = cause_of(error)
@@ -125,6 +132,17 @@ class Acquisition:
             else:
                 self.patience.regain()
         return skipped
+
+    def _refresh(self, role: Role) -> Messages:
+        """Shoot references where drift asks for them: what it would spoil is yet to come."""
+        levels = self.supervision.device.levels
+        if levels is None or role is Role.DARK:
+            return
+        due = self.drift.due(Moment(time.time(), levels.lamp_output, levels.lamp_deg_c))
+        if due is not None:
+            why, prediction = due
+            yield from self.supervision.guard.refresh(role, why, asdict(prediction))
+            self.drift.learn()
 
     def _skip(self, visit: Visit, cause: BaseException) -> None:
         self.journal.note(SKIPPED, visit=visit.number, role=visit.role, pose=visit.pose, error=str(cause))

@@ -15,6 +15,7 @@ from capture.acquire import Acquisition
 from capture.bracketing import Objective
 from capture.creation import create_session, require_free
 from capture.documents import DocumentLog, SafeWait, make_engine
+from capture.drift import DriftWatch
 from capture.examine import Examiner
 from capture.exposure import Chooser, Noise, Shutter, Target
 from capture.guards import require_disk, same_exposures, same_plan, same_rig
@@ -236,7 +237,7 @@ class _Run:
             DocumentLog(self.folder / DOCUMENTS_FILE) as log,
         ):
             engine = make_engine(log, self._wait)
-            guard = self._reference(arms, camera)
+            guard = self._reference(arms, camera, levels)
             supervision = Supervision(
                 rig=self.rig,
                 device=levels,
@@ -261,7 +262,7 @@ class _Run:
                 if self.wishes.controls.finish_requested:
                     return
 
-    def _reference(self, arms: ArmsDevice, camera: CameraDevice) -> ReferenceGuard:
+    def _reference(self, arms: ArmsDevice, camera: CameraDevice, levels: SupervisionDevice) -> ReferenceGuard:
         return ReferenceGuard(
             rig=self.rig,
             arms=arms,
@@ -271,6 +272,7 @@ class _Run:
             sensor=self._sensor,
             plan_hash=self.plan.hash,
             tolerance=self._tolerance,
+            lamp_deg_c=levels.lamp_deg_c,
             say=self.wishes.say,
         )
 
@@ -301,6 +303,7 @@ class _Run:
             finishing=lambda: self.wishes.controls.finish_requested,
             visited=visited,
             supervision=supervision,
+            drift=DriftWatch(self.plan.references, self.journal),
             patience=self._patience,
             say=self.wishes.say,
         )

@@ -293,6 +293,11 @@ class SupervisionDevice(_Device):
         """Start to read all levels."""
         return self._start(self._look)
 
+    def lamp_deg_c(self) -> float | None:
+        """Temperature of the lamp's head at the last look; None where it was not read."""
+        value = math.nan if self.levels is None else self.levels.lamp_deg_c
+        return value if math.isfinite(value) else None
+
     def breaches(self, after: Sequence[Breach] = ()) -> tuple[Breach, ...]:
         """List the levels last read that are outside their bands; see `Supervisor.breaches`."""
         servos = self.levels.servos if self.levels else ()

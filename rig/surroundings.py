@@ -54,8 +54,8 @@ class TwinLight(Part):
         0.0,
         ge=0,
         le=1,
-        description="even light added to every lit frame, as a share of what a perfect diffuser lit along its "
-        "normal shows, 0 to 1",
+        description="even light added to every lit frame, over what a perfect diffuser lit along its normal "
+        "shows, 0 to 1",
     )
     mirrors: tuple[Mirror, ...] = Field(
         (), max_length=20, description="beside the sample, at most 20; they turn with it"

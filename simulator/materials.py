@@ -337,7 +337,10 @@ def load_bsdf(mi: Any, material: Material) -> Any:
 
 
 def station_materials(
-    stations: Mapping[str, str], materials: Mapping[str, str | Material], white_rho: float, trap_rho: float = 0.0
+    stations: Mapping[str, str],
+    materials: Mapping[str, str | Material],
+    white_rho: float,
+    trap_rho: float = 0.0,
 ) -> dict[str, Material]:
     """Decide what lies at each station.
 

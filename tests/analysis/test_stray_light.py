@@ -52,7 +52,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def worst_error(samples: xr.Dataset, session: Path) -> float:
-    """Largest relative error of a pose's mean, all channels; what the white's certificate errs by is no part."""
+    """Largest relative error of a pose's mean, all channels, without what the white's certificate errs by."""
     white = json.loads((session / "truth.json").read_text())["white"]["rho"] / default_rig().white.rho
     relative = samples["f_r"] * white * math.pi / ALBEDO - 1.0
     return float(np.abs(relative.groupby(samples["pose"]).mean("sample").mean("channel")).max())
