@@ -1,4 +1,4 @@
-"""What a reduction takes out of the images besides noise: lamp drift, stray light, flat field.
+"""What a reduction takes out of the images besides noise: flat field, stray light, lamp drift, linearity.
 
 Each correction has a name, a column of the uncertainty and a switch. One that is switched off leaves its
 whole effect in f_r, as an error of unknown part: the column is then as large as the effect.
@@ -22,14 +22,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from capture.clip import RAMP_START
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from analysis.measurement import Image, PoseImages
+    from capture.linearity import Bend
+    from capture.sensor import SensorModel
     from rig.description import Rig
 
     Float = NDArray[np.float64]
@@ -46,6 +49,9 @@ class Correction(StrEnum):
 
     LAMP_DRIFT = "lamp-drift"
     """The lamp's light between white and sample, by its photodiode. Column u_lamp."""
+
+    LINEARITY = "linearity"
+    """The sensor's bent response, where its calibration has found one. Column u_linearity."""
 
 
 def corrections_named(names: Iterable[str], where: str = "--without") -> tuple[Correction, ...]:
@@ -73,6 +79,47 @@ def corrections_named(names: Iterable[str], where: str = "--without") -> tuple[C
     if unknown:
         raise BadInput(f"no correction is named {unknown[0]!r}", where=where, todo=f"they are {known}")
     return tuple(correction for correction in Correction if correction in given)
+
+
+def straightened(radiance: Float, exposure_s: Sequence[float], bend: Bend) -> Float:
+    """Take a bent response out of a merged image.
+
+    A merge is nearly sum y_i / sum t_i over the frames that do not clip, so the bends of its counts y_i weigh
+    as their exposures do.
+
+    Parameters
+    ----------
+    radiance : (H, W) float
+        Counts per second above black.
+    exposure_s : sequence of float
+        Of the frames that were merged.
+    bend : Bend
+
+    Returns
+    -------
+    (H, W) float
+        How many times more light there was: 1 near nought.
+    """
+    total, seconds = np.zeros_like(radiance), np.zeros_like(radiance)
+    for number, exposure in enumerate(sorted(exposure_s)):
+        signal = radiance * exposure
+        used = np.ones(radiance.shape) if number == 0 else (signal < RAMP_START * bend.range_dn).astype(float)
+        total += used * exposure * bend.of(signal)
+        seconds += used * exposure
+    return np.asarray(seconds / total)
+
+
+def u_linearity_of(sensor: SensorModel | None, *, corrected: bool) -> float | None:
+    """Relative uncertainty of f_r by a response that is not quite straight; None where it is not known.
+
+    Sample and white are counted at different levels, each off by its own deviation: sqrt(2) of their standard
+    deviation, which is sqrt(pi / 2) of the mean absolute one where they are normal.
+    """
+    if sensor is None:
+        return None
+    if corrected and sensor.response is not None:
+        return sensor.response.error * math.sqrt(2.0)
+    return None if sensor.linearity_error is None else sensor.linearity_error * math.sqrt(math.pi)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.corrections import straightened
 from analysis.measurement import Image, Mosaic, PoseImages
 from analysis.stray_images import neighbour_weights, put_together
 from capture.dark import DarkModel
@@ -48,6 +49,8 @@ class SessionImages:
     ----------
     session : Session
         The session; its calibration, darks and frames are read when asked for.
+    straight : bool
+        Whether the sensor's bent response is taken out, where its calibration has found one.
 
     Raises
     ------
@@ -55,8 +58,10 @@ class SessionImages:
         By its methods: for a session without complete poses, or frames that cannot be read.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, *, straight: bool = True) -> None:
         self.session = session
+        sensor = session.sensor
+        self._bend = sensor.response if straight and sensor is not None else None
         self._records = session.poses()
 
     def pairs(self) -> list[PosePair]:
@@ -107,9 +112,14 @@ class SessionImages:
             dark=self.dark,
             sensor=self.session.sensor,
         )
+        radiance = np.asarray(merged.radiance, dtype=np.float64)
+        variance = np.asarray(merged.variance, dtype=np.float64)
+        if self._bend is not None:
+            more = straightened(radiance, [frame.exposure_s for frame in frames], self._bend)
+            radiance, variance = radiance * more, variance * more**2
         return Image(
-            np.asarray(merged.radiance, dtype=np.float64),
-            np.asarray(merged.variance, dtype=np.float64),
+            radiance,
+            variance,
             merged.flags,
             np.asarray(record.angles_rad, dtype=np.float64),
             self._lamp_output(frames),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture.dark import DarkModel
-from capture.linearity import Linearity, bright_region, fit_linearity
+from capture.linearity import Bend, Linearity, bright_region, fit_bend, fit_linearity
 from capture.ptc import PhotonTransfer, TransferPoints, fit_transfer, pair_points, quantisation_step
 from capture.raw import read_raw
 from capture.saturation import SURELY, Saturation, measure_saturation
@@ -55,6 +55,8 @@ class SensorCharacter:
         What they were fitted to.
     linearity : tuple of Linearity
         Of each channel.
+    bend : Bend or None
+        How the response departs from proportion; None with too few levels.
     saturation : Saturation or None
         None where no frame was long enough.
     nominal_clip_dn : float
@@ -79,6 +81,7 @@ class SensorCharacter:
     transfer_of: tuple[PhotonTransfer, ...]
     points: TransferPoints
     linearity: tuple[Linearity, ...]
+    bend: Bend | None
     saturation: Saturation | None
     nominal_clip_dn: float
     prnu: float
@@ -134,6 +137,9 @@ class SensorCharacter:
             iso=self.iso,
             u_gain_dn_per_e=line.u_gain_dn_per_e,
             u_read_noise_dn=line.u_read_noise_dn,
+            bend=None if self.bend is None else self.bend.coefficients,
+            bend_range_dn=None if self.bend is None else self.bend.range_dn,
+            bend_error=None if self.bend is None else self.bend.error,
             linearity_error=max((each.error for each in self.linearity), default=None),
             prnu=self.prnu if math.isfinite(self.prnu) else None,
             **more,
@@ -196,6 +202,7 @@ def characterise(
         transfer_of=of_channels,
         points=pairs.points,
         linearity=linearity,
+        bend=fit_bend(linearity, range_dn),
         saturation=saturation,
         nominal_clip_dn=frames.first.white_dn,
         prnu=float(np.sqrt(np.mean(np.square(pairs.prnu)))) if pairs.prnu else math.nan,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,15 @@ import numpy as np
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 FILL = (0.05, 0.95)
 """Part of the range in which deviations count."""
+
+LEAST_LEVELS = 5
+"""Levels from which a bend is fitted; with fewer it would follow their noise."""
 
 _NEAR_TOP = 0.9
 _PERCENTILE = 99.0
@@ -107,3 +113,67 @@ def fit_linearity(exposure_s: Any, signal_dn: Any, clear: NDArray[np.bool_], ran
     (offset, slope), *_ = np.linalg.lstsq(design, np.ones_like(times), rcond=None)
     line = offset + slope * times
     return Linearity(times, signals, float(offset), float(slope), (signals - line) / line)
+
+
+@dataclass(frozen=True)
+class Bend:
+    """How a response departs from proportion: count over light, relative to that near nought.
+
+    It is 1 + sum c_k s^k, k from 1, with s the count above black over `range_dn`.
+
+    Attributes
+    ----------
+    range_dn : float
+        Clip level above black, DN.
+    coefficients : tuple of float
+        c_1, c_2, ...
+    error : float
+        Relative standard uncertainty that is left where the bend is taken out.
+    """
+
+    range_dn: float
+    coefficients: tuple[float, ...]
+    error: float
+
+    def of(self, signal_dn: Any) -> Any:
+        """Count over light at counts above black, relative to that near nought; beyond the range as at it."""
+        share = np.clip(np.asarray(signal_dn) / self.range_dn, 0.0, 1.0)
+        return 1.0 + sum(c * share ** (k + 1) for k, c in enumerate(self.coefficients))
+
+
+def fit_bend(of_channels: Sequence[Linearity], range_dn: float) -> Bend | None:
+    """Fit one bend to the levels of all channels, each with a responsivity of its own.
+
+    The line is through nought, unlike that of `fit_linearity`: an offset that a bend puts into a straight
+    line would be light where there is none.
+
+    Parameters
+    ----------
+    of_channels : sequence of Linearity
+    range_dn : float
+
+    Returns
+    -------
+    Bend or None
+        None with too few levels.
+    """
+    usable = [each for each in of_channels if len(each.signal_dn) >= LEAST_LEVELS]
+    if not usable:
+        return None
+    fits = []
+    for each in usable:
+        share = each.signal_dn / range_dn
+        rate = each.signal_dn / each.exposure_s
+        design = np.column_stack([np.ones_like(share), share, share**2])
+        solution, *_ = np.linalg.lstsq(design, rate / rate.mean(), rcond=None)
+        left = rate / rate.mean() - design @ solution
+        freedom = len(share) - len(solution)
+        covariance = np.linalg.inv(design.T @ design) * float(left @ left) / freedom
+        fits.append((solution / solution[0], covariance / solution[0] ** 2, left))
+    mean = np.mean([solution for solution, _, _ in fits], axis=0)
+    covariance = np.sum([each for _, each, _ in fits], axis=0) / len(fits) ** 2
+    shares = np.linspace(0.0, 1.0, 21)
+    powers = np.column_stack([shares, shares**2])
+    u_fit = float(np.sqrt(np.einsum("ij,jk,ik->i", powers, covariance[1:, 1:], powers).max()))
+    scatter = math.sqrt(float(np.mean(np.concatenate([left for _, _, left in fits]) ** 2)))
+    return Bend(range_dn, tuple(float(c) for c in mean[1:]), math.hypot(u_fit, scatter))

@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from capture.linearity import Bend
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -54,6 +55,9 @@ class SensorModel:
         How, in words.
     u_gain_dn_per_e, u_read_noise_dn : float, optional
         Standard uncertainties of gain and read noise.
+    bend : tuple of float, optional
+        Coefficients of the response's bend, see `capture.linearity.Bend`; with them `bend_range_dn` and
+        `bend_error`.
     linearity_error : float, optional
         Mean relative deviation of the response from a straight line (EMVA 1288's LE).
     prnu : float, optional
@@ -81,6 +85,9 @@ class SensorModel:
     u_gain_dn_per_e: float | None = None
     u_read_noise_dn: float | None = None
     linearity_error: float | None = None
+    bend: tuple[float, ...] | None = None
+    bend_range_dn: float | None = None
+    bend_error: float | None = None
     prnu: float | None = None
     lamp_temperature_deg_c: float | None = None
 
@@ -88,15 +95,26 @@ class SensorModel:
         _check(self.gain_dn_per_e > 0, "gain_dn_per_e", self.gain_dn_per_e, _POSITIVE)
         for name in ("read_noise_dn", "dark_current_dn_per_s", "quantisation_step_dn"):
             _check(getattr(self, name) >= 0, name, getattr(self, name), _NOT_NEGATIVE)
-        for name in ("u_gain_dn_per_e", "u_read_noise_dn", "linearity_error", "prnu"):
+        for name in ("u_gain_dn_per_e", "u_read_noise_dn", "linearity_error", "bend_error", "prnu"):
             value = getattr(self, name)
             _check(value is None or value >= 0, name, value, _NOT_NEGATIVE)
+        parts = [self.bend is None, self.bend_range_dn is None, self.bend_error is None]
+        _check(all(parts) or not any(parts), "bend", self.bend, "together with bend_range_dn and bend_error")
+        bent_dn = self.bend_range_dn
+        _check(bent_dn is None or bent_dn > 0, "bend_range_dn", bent_dn, _POSITIVE)
         clips = self.clip_dn if isinstance(self.clip_dn, tuple) else (self.clip_dn,)
         _check(len(clips) > 0 and all(clip > 0 for clip in clips), "clip_dn", self.clip_dn, _POSITIVE)
         if self.black_dn is not None:
             four = len(self.black_dn) == 4 and all(math.isfinite(black) for black in self.black_dn)
             _check(four, "black_dn", self.black_dn, "four numbers, one per CFA position, row by row")
             _check(max(self.black_dn) < min(clips), "clip_dn", self.clip_dn, "a number above black_dn")
+
+    @property
+    def response(self) -> Bend | None:
+        """How the response departs from proportion, None where that is not known."""
+        if self.bend is None or self.bend_range_dn is None or self.bend_error is None:
+            return None
+        return Bend(self.bend_range_dn, self.bend, self.bend_error)
 
     @property
     def floor_variance_dn2(self) -> float:
@@ -130,7 +148,7 @@ def _check(fine: bool, name: str, value: object, wanted: str) -> None:
 
 _ELECTRON_KEYS = {"read_noise_e": "read_noise_dn", "dark_current_e_per_s": "dark_current_dn_per_s"}
 _TEXT_KEYS = frozenset({"camera_serial", "camera_model", "date", "note"})
-_LIST_KEYS = frozenset({"clip_dn", "black_dn"})
+_LIST_KEYS = frozenset({"clip_dn", "black_dn", "bend"})
 _REQUIRED_KEYS = ("gain_dn_per_e", "read_noise_dn", "clip_dn")
 FORMAT_VERSION = 1
 """Version of the calibration file that `save_sensor` writes, its key `version`."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,8 @@ class Sensor:
         Relative standard deviation of the pixels' responses.
     hot_fraction : float
         Part of the pixels that are hot.
+    bend : float
+        Share by which the response falls short of proportion at full well, in proportion to the charge.
     hot_rate_e_per_s : tuple of float
         Lowest and highest dark rate of hot pixels, drawn evenly in the logarithm.
     """
@@ -93,6 +95,7 @@ class Sensor:
     prnu: float = 0.005
     hot_fraction: float = 0.001
     hot_rate_e_per_s: tuple[float, float] = (200.0, 5000.0)
+    bend: float = 0.0
 
     @property
     def gain_dn_per_e(self) -> float:
@@ -114,10 +117,11 @@ class Sensor:
     def clip_dn(self) -> float:
         """Count from which a sample may be clipped, black included: full well or converter, the lower."""
         noise_dn = CLIP_SIGMAS * self.read_noise_e * self.gain_dn_per_e
+        full_e = self.full_well_e * (1.0 - self.bend)
         return float(
             min(
                 self.largest_dn,
-                np.floor(min(self.black_dn) + self.gain_dn_per_e * self.full_well_e - noise_dn),
+                np.floor(min(self.black_dn) + self.gain_dn_per_e * full_e - noise_dn),
             )
         )
 
@@ -191,9 +195,9 @@ class Sensor:
             electrons = electrons + self.mosaic(radiance) * self.response * light
         # Far beyond a full well the exact mean no longer matters, and Poisson numbers have an upper limit.
         collected = rng.poisson(np.clip(electrons, 0.0, 4.0 * self.full_well_e)).astype(np.float64)
-        read = np.minimum(collected, self.full_well_e) + self.read_noise_e * rng.standard_normal(
-            collected.shape
-        )
+        collected = np.minimum(collected, self.full_well_e)
+        collected *= 1.0 - self.bend * collected / self.full_well_e
+        read = collected + self.read_noise_e * rng.standard_normal(collected.shape)
         counts = np.rint(read * self.gain_dn_per_e + self._black_mosaic)
         return np.clip(counts, 0, self.largest_dn).astype(np.uint16)
 
@@ -202,6 +206,16 @@ class Sensor:
         rows, cols = -(-self.height_px // 2), -(-self.width_px // 2)
         cell = np.asarray(self.black_dn, dtype=np.float64).reshape(2, 2)
         return np.tile(cell, (rows, cols))[: self.height_px, : self.width_px]
+
+    def _bent(self) -> dict[str, Any]:
+        """Bend of the counts to second order, as `capture.linearity.Bend` has it; empty without one."""
+        if not self.bend:
+            return {}
+        return {
+            "bend": (-self.bend, -(self.bend**2)),
+            "bend_range_dn": self.gain_dn_per_e * self.full_well_e,
+            "bend_error": self.bend**3,
+        }
 
     def calibration(self) -> SensorModel:
         """Return what a perfect calibration of this sensor would find."""
@@ -214,5 +228,6 @@ class Sensor:
             black_dn=tuple(float(level) for level in self.black_dn),
             dark_current_dn_per_s=self.dark_current_e_per_s * self.gain_dn_per_e,
             camera_serial=self.serial,
+            **self._bent(),
             note="the twin's own values",
         )

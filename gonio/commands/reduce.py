@@ -15,9 +15,10 @@ averages them, their repeatability is told, and no uncertainty is stated below i
 
 Corrections, each with a column of the uncertainty; --without NAME leaves one out, and states its whole effect
 as uncertainty instead. The samples record what was left out (option_without).
-  flat-field     lens, vignetting, pixels: the white divides pixel by pixel; else by its mean   u_flat
-  stray-light    the light trap's pictures are subtracted, where the plan asked for them       u_stray
-  lamp-drift     the lamp's light between white and sample, by its photodiode                   u_lamp
+  flat-field   u_flat       lens, vignetting, pixels: the white divides pixel by pixel; else by its mean
+  stray-light  u_stray      the light trap's pictures are subtracted, where the plan asked for them
+  lamp-drift   u_lamp       the lamp's light between white and sample, by its photodiode
+  linearity    u_linearity  the sensor's bent response, where its calibration has found one
 
 The JSON object: session, out, without, poses, samples, channels, dropped: {reason: values},
 pixels: {flag: pixels}; with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability,
@@ -71,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME[,NAME]",
         help="session: leave corrections out, their errors in the uncertainty: flat-field, stray-light, "
-        "lamp-drift (above)",
+        "lamp-drift, linearity (above)",
     )
     parser.add_argument("--recipe", metavar="NAME|FILE", help="reduce raw files by the steps of a recipe")
     parser.add_argument("--blank", metavar="FILE", help="recipe: the measurement without a sample")

@@ -228,3 +228,29 @@ def test_age_temperature_and_camera_are_checked_in_use() -> None:
         require_camera(made, "B", 100.0, "sensor.toml")
     with pytest.raises(Refused, match="ISO 100, in use is 400"):
         require_camera(made, "A", 400.0, "sensor.toml")
+
+
+def test_a_bend_is_found_and_a_straight_response_stays_straight(
+    character: SensorCharacter, tmp_path: Path
+) -> None:
+    """Would catch a bend of the wrong sign or size, and one that is read into noise."""
+    straight = character.bend
+    assert straight is not None
+    assert (
+        np.abs(straight.of(np.array([0.2, 0.5, 0.9]) * straight.range_dn) - 1.0).max()
+        < 4.0 * straight.error
+        < 0.004
+    )
+
+    bent = Studio(Sensor(WIDTH, HEIGHT, "CAM-1", seed=4, bend=0.03), tmp_path)
+    bent.shoot_all()
+    found = characterise(sort_frames(raw_files(bent.folder), bent.folder))
+    truth, model = bent.sensor.calibration().response, found.model().response
+    assert truth is not None
+    assert model == found.bend
+    assert model is not None
+    signal = np.array([0.1, 0.3, 0.6, 0.85]) * truth.range_dn
+    np.testing.assert_allclose(model.of(signal), truth.of(signal), atol=4.0 * model.error)
+    assert model.error < 0.001
+    save_sensor(found.model(), tmp_path / "sensor.toml")
+    assert load_sensor(tmp_path / "sensor.toml").response == model
