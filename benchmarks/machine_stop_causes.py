@@ -272,6 +272,8 @@ def _hear(stream: IO[str]) -> dict[str, Any]:
 def _child(rig_file: str, work: str) -> None:
     """Be the child: say when the machine works, and after its end when it was stopped."""
     known: list[float] = []
+    # Whoever runs this under nohup would not be stopped by the end of its parent.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with (
         StopRequests("frame") as requests,
         contextlib.suppress(GonioError),
