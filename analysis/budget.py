@@ -55,6 +55,7 @@ NAMES = {
     "linearity": "linearity of the sensor",
     "stray": "stray light",
     "flat": "flat field",
+    "drift": "drift that references found",
 }
 _CLASSES = {
     "white": Correlation.FRAME,
@@ -63,6 +64,7 @@ _CLASSES = {
     "linearity": Correlation.CALIBRATION,
     "stray": Correlation.SESSION,
     "flat": Correlation.CALIBRATION,
+    "drift": Correlation.SESSION,
 }
 
 

@@ -20,6 +20,7 @@ from analysis.samples import make_samples
 from analysis.session_images import SessionImages
 from analysis.white import white_of
 from analysis.white_calibration import WHITE_FILE, load_white
+from capture.drift import unseen_drift
 from capture.records import SPOILED
 from capture.session import CALIBRATION_FOLDER
 from rig.errors import BadInput
@@ -125,6 +126,7 @@ def reduce_session(
         source=session.name,
         provenance=images.provenance() | {"white": reference.name},
         u_linearity=u_linearity_of(session.sensor, corrected=straight),
+        u_drift=unseen_drift(session.events()) or None,
     )
 
 
@@ -158,6 +160,7 @@ def assemble(
     source: str = "",
     provenance: Mapping[str, str] | None = None,
     u_linearity: float | None = None,
+    u_drift: float | None = None,
 ) -> xr.Dataset:
     """Put the samples of all poses into one table.
 
@@ -177,6 +180,8 @@ def assemble(
         Hashes and versions, recorded as attributes.
     u_linearity : float, optional
         Relative uncertainty by the sensor's response; None where it is not known.
+    u_drift : float, optional
+        Relative uncertainty by drift that only references have found; None for none.
 
     Raises
     ------
@@ -212,6 +217,7 @@ def assemble(
         u_binning=joined("u_binning"),
         u_lamp=joined("u_lamp"),
         u_linearity=None if u_linearity is None else np.abs(joined("f_r")) * u_linearity,
+        u_drift=None if u_drift is None else np.abs(joined("f_r")) * u_drift,
         u_stray=None if any(part.u_stray is None for part in parts) else joined("u_stray"),
         u_flat=joined("u_flat"),
         flat_group=joined("bin_index"),

@@ -3,9 +3,9 @@
 An error of size u that n samples share does not average out over them. Each column therefore knows its group:
 noise and binning belong to one sample and channel; the white's noise to all samples that were divided by the
 same white pixels; the lamp's drift between white and sample to all samples and channels of one pose; the
-white's reflectance, the sensor's bent response and the stray light's rest to the whole session and all
-channels; the white plate's unevenness to all samples of one place in the picture; a joint's angle to all
-samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
+white's reflectance, the sensor's bent response, the stray light's rest and unseen drift to the whole session
+and all channels; the white plate's unevenness to all samples of one place in the picture; a joint's angle to
+all samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
 100:2008, section 5.2: correlated input quantities.)
 """
 
@@ -28,10 +28,20 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 INDEPENDENT = ("u_noise", "u_binning")
-IN_F = ("u_noise", "u_binning", "u_white", "u_reference", "u_lamp", "u_linearity", "u_stray", "u_flat")
+IN_F = (
+    "u_noise",
+    "u_binning",
+    "u_white",
+    "u_reference",
+    "u_lamp",
+    "u_linearity",
+    "u_stray",
+    "u_flat",
+    "u_drift",
+)
 """Columns in 1/sr: the ones that u_f_r is the quadrature of."""
 
-COMMON = ("reference", "linearity", "stray")
+COMMON = ("reference", "linearity", "stray", "drift")
 """Shared errors that all samples have in common: they move a fit as a whole, and weigh no sample down."""
 
 STEP_RAD = 1e-5

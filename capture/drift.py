@@ -19,6 +19,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from capture.interruptions import REFERENCE
+from capture.records import Role
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,6 +96,17 @@ def _certainly_off(detail: dict[str, Any]) -> float:
     """Share by which the worst channel of a comparison is off beyond its noise."""
     rows = zip(detail.get("ratio", ()), detail.get("u_ratio", ()), strict=True)
     return max((max(abs(ratio - 1.0) - COVERAGE * u, 0.0) for ratio, u in rows), default=0.0)
+
+
+def unseen_drift(events: Sequence[Event]) -> float:
+    """Relative standard uncertainty by drift that references have found and the photodiode has not seen.
+
+    The largest change beyond noise lies somewhere between none and all of it for any one pose: the standard
+    deviation of an even distribution from -a to a is a / sqrt(3) (GUM, JCGM 100:2008, 4.3.7). What was
+    refused counts too, where a person had the session go on.
+    """
+    lit = [event.detail for event in events if event.kind == REFERENCE and event.detail["role"] != Role.DARK]
+    return max(map(_certainly_off, lit), default=0.0) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,6 +140,9 @@ def session_facts(session: Session, samples: xr.Dataset) -> dict[str, str]:
         f"source {samples.attrs['source_solid_angle_sr']:.3g} sr, "
         f"receiver {samples.attrs['receiver_solid_angle_sr']:.3g} sr"
     )
+    left_out = str(samples.attrs.get("option_without", ""))
+    if left_out:
+        facts["Not corrected"] = left_out.replace(",", ", ")
     facts |= interruption_facts(session)
     facts["SHA-256 of the frames"] = str(samples.attrs.get("frames_sha256", "not recorded"))
     return facts
@@ -150,15 +153,13 @@ def interruption_facts(session: Session) -> dict[str, str]:
     counts = interruptions(session.journal)
     told = [f"{INTERRUPTIONS[kind]}: {count}" for kind, count in counts.items()]
     facts = {"Interruptions": ", ".join(told) or "none"}
-    steps = [
-        abs(ratio - 1.0)
-        for event in session.events()
-        if event.kind == REFERENCE
-        for ratio in event.detail["ratio"]
-    ]
+    again = [event.detail for event in session.events() if event.kind == REFERENCE]
+    steps = [abs(ratio - 1.0) for detail in again for ratio in detail["ratio"]]
     if steps:
+        asked = sum("predicted" in detail for detail in again)
+        because = f" ({asked} because of drift)" if asked else ""
         facts["Reference poses"] = (
-            f"shot again after interruptions, light within {max(steps):.2%} of what it was"
+            f"shot again {len(again)} times{because}, light within {max(steps):.2%} of what it was"
         )
     missing = [f"{hole.role} {hole.pose} ({hole.reason})" for hole in holes(session.journal)]
     if missing:

@@ -17,7 +17,8 @@ from analysis.models import MODELS
 from analysis.reduce import reduce_session
 from analysis.samples import read, write
 from analysis.white_calibration import WHITE_FILE, WhiteCalibration, save_white
-from capture.records import PoseFlag
+from capture.interruptions import REFERENCE
+from capture.records import Event, PoseFlag
 from capture.session import FrameRecord, PoseRecord
 from rig.errors import BadInput
 from rig.kinematics import Kinematics
@@ -51,6 +52,12 @@ class RecordedSession:
     name: str = "test session"
     records: list[PoseRecord] = field(default_factory=list)
     lamp_outputs: dict[str, float] = field(default_factory=dict)
+
+    happened: list[Event] = field(default_factory=list)
+
+    def events(self) -> list[Event]:
+        """Everything that happened."""
+        return self.happened
 
     def poses(self, role: str | None = None) -> list[PoseRecord]:
         """All records, or those of one role."""
@@ -351,3 +358,22 @@ def test_a_bent_response_is_taken_out(default_rig: Rig, tmp_path: Path) -> None:
     assert errors[(Correction.LINEARITY,)] > 0.003
     assert 0.0 < stated[()] < 0.0001
     assert stated[(Correction.LINEARITY,)] == pytest.approx(0.004 * np.sqrt(np.pi), rel=1e-6)
+
+
+@pytest.mark.parametrize(("ratio", "stated"), [(1.0002, None), (1.0063, 0.006 / np.sqrt(3.0))])
+def test_drift_that_only_references_found_is_stated(
+    session: RecordedSession, ratio: float, stated: float | None
+) -> None:
+    """Would catch samples that claim less than a reference has shown, or noise that is taken for drift."""
+    detail = {"role": "white", "ratio": [ratio, 1.0], "u_ratio": [1e-4, 1e-4], "accepted": True}
+    session.happened = [Event("2026-01-01T00:00:00.000Z", REFERENCE, detail)]
+    samples = reduce_session(session)
+
+    if stated is None:
+        assert "u_drift" not in samples
+        return
+    relative = (samples["u_drift"] / np.abs(samples["f_r"])).to_numpy()
+    assert np.nanmax(np.abs(relative - stated)) < 1e-9
+    (line,) = [line for line in budget(samples) if line.name == "drift that references found"]
+    assert line.correlation is Correlation.SESSION
+    assert line.of_session == pytest.approx(stated, rel=1e-6)

@@ -82,7 +82,7 @@ def test_the_report_tells_what_did_not_go_straight(tmp_path: Path) -> None:
             journal.log_levels(LevelsRecord(0, (40.0,), (12.0,), (None,), (0.1,), 30.0, drift, drift))
         assert interruption_facts(session) == {
             "Interruptions": "shots made again: 2, poses skipped: 2, pauses: 1",
-            "Reference poses": "shot again after interruptions, light within 0.40% of what it was",
+            "Reference poses": "shot again 1 times, light within 0.40% of what it was",
             "Missing poses": "sample 0 (no picture)",
             "Lamp": "within 2.00% of the first pose, by its monitor",
         }
