@@ -117,8 +117,9 @@ def u_linearity_of(sensor: SensorModel | None, *, corrected: bool) -> float | No
     """
     if sensor is None:
         return None
-    if corrected and sensor.response is not None:
-        return sensor.response.error * math.sqrt(2.0)
+    if sensor.response is not None:
+        left_in = 0.0 if corrected else sensor.response.spread
+        return math.hypot(sensor.response.error, left_in) * math.sqrt(2.0)
     return None if sensor.linearity_error is None else sensor.linearity_error * math.sqrt(math.pi)
 
 

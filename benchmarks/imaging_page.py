@@ -62,6 +62,13 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         "Frames and time that brackets need for a range of light and a signal-to-noise ratio.",
         ("imaging_exposure.png", "Signal-to-noise ratio over the range of light"),
     ),
+    "imaging_corrections": (
+        "Corrections",
+        "Sessions of the twin under 1 % of stray light, with a lamp that loses 6 % and with a steady one; "
+        "frames of closed-form light with a tilted flat field and a bent response. Errors of the worst "
+        "pose's mean.",
+        None,
+    ),
     "imaging_coverage": (
         "Coverage of the stated intervals",
         "Sessions drawn at the reduction level, with systematic errors drawn anew for each.",

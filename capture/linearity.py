@@ -140,6 +140,11 @@ class Bend:
         share = np.clip(np.asarray(signal_dn) / self.range_dn, 0.0, 1.0)
         return 1.0 + sum(c * share ** (k + 1) for k, c in enumerate(self.coefficients))
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation over the range of what it takes out."""
+        return float(np.std(self.of(np.linspace(0.0, self.range_dn, 101))))
+
 
 def fit_bend(of_channels: Sequence[Linearity], range_dn: float) -> Bend | None:
     """Fit one bend to the levels of all channels, each with a responsivity of its own.
