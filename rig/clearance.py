@@ -79,7 +79,9 @@ class Clearance:
 
     @property
     def slack_rad(self) -> float:
-        """How far one joint may be off its way before a margin is used up, wherever the arms are."""
+        """How far one joint may be off its way: what the rig file says, or until a margin is used up."""
+        if self.rig.clearance.lag_deg:
+            return math.radians(self.rig.clearance.lag_deg)
         levers = self.pairs.levers_mm.max(axis=1, initial=0.0)
         return float(np.min(self.pairs.margins_mm / levers, initial=np.inf))
 

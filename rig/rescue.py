@@ -18,7 +18,7 @@ from rig.lamp import Lamp
 from rig.owner import PortOwner
 from rig.servos import Servos
 from rig.stop_report import PartStop, StopOutcome, StopReport
-from rig.ticks import rad_to_ticks, ticks_to_rad
+from rig.ticks import rad_to_ticks, tick_rad, ticks_to_rad
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -67,17 +67,20 @@ def park_others(rig: Rig, on_abort: Callable[[Callable[[], object]], None]) -> S
             left = {row.spec.servo_id: row.fault for row in found.rows if row.fault}
             present = _present(bus, found)
             goals = _goals(rig, {spec.servo_id for spec in well})
-            _require_clear(rig, present, goals)
-            held = _park(Servos(bus, well, watchdog_s=rig.bus.watchdog_s), goals, stop) if well else {}
+            slack = _require_clear(rig, present, goals)
+            servos = Servos(bus, well, watchdog_s=rig.bus.watchdog_s)
+            held = _park(servos, goals, slack, stop) if well else {}
         finally:
             owner.release()
     return StopReport((dark, *(_told(bus, spec, held, left) for spec in specs)))
 
 
-def _park(servos: Servos, goals: Mapping[int, int], stop: Callable[[], object]) -> dict[int, int]:
+def _park(
+    servos: Servos, goals: Mapping[int, int], slack: Mapping[int, float], stop: Callable[[], object]
+) -> dict[int, int]:
     servos.attach()
     try:
-        return servos.move(goals)
+        return servos.move(goals, slack=slack)
     except BaseException:
         stop()
         raise
@@ -98,10 +101,10 @@ def _goals(rig: Rig, well: set[int]) -> dict[int, int]:
     }
 
 
-def _require_clear(rig: Rig, present: Mapping[int, int], goals: Mapping[int, int]) -> None:
-    """Pass only if the arms get to their park angles past those that stay where they are."""
+def _require_clear(rig: Rig, present: Mapping[int, int], goals: Mapping[int, int]) -> dict[int, float]:
+    """Pass only if the arms get to their park angles past those that stay; return how far off they may be."""
     if not rig.solids:
-        return
+        return {}
     unknown = [joint.name for joint in rig.arm_joints if joint.id not in present]
     if unknown:
         raise Refused(
@@ -115,12 +118,14 @@ def _require_clear(rig: Rig, present: Mapping[int, int], goals: Mapping[int, int
         np.array([[ticks_to_rad(joint, ticks[joint.id]) for joint in rig.arm_joints]])
         for ticks in (present, {**present, **goals})
     )
-    if not bool(Clearance(rig).moves(start, end).clear[0]):
+    clearance = Clearance(rig)
+    if not bool(clearance.moves(start, end).clear[0]):
         raise Refused(
             "on their way to the park angles arms would come too near to one that stays",
             where="gonio rig park",
             todo="bring the arms apart by hand",
         )
+    return {joint.id: clearance.slack_rad / tick_rad(joint) for joint in rig.arm_joints if joint.id in goals}
 
 
 def _told(bus: ServoBus, spec: ServoSpec, held: Mapping[int, int], left: Mapping[int, str]) -> PartStop:

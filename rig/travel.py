@@ -75,10 +75,8 @@ class Travel:
 
     @cached_property
     def _slack_rad(self) -> float:
-        """How far a joint may be off its way: what the rig file says, or what the margin allows."""
-        if self._rig.clearance.lag_deg:
-            return math.radians(self._rig.clearance.lag_deg)
-        return self._clearance.slack_rad if self._rig.solids else math.inf
+        """How far a joint may be off its way; without solids as far as it likes, unless the file says."""
+        return self._clearance.slack_rad if self._rig.solids or self._rig.clearance.lag_deg else math.inf
 
     @cached_property
     def _clearance(self) -> Clearance:

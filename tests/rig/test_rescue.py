@@ -10,7 +10,7 @@ import pytest
 
 from rig.control_table import HardwareError, OperatingMode
 from rig.description import Ports, default_rig
-from rig.errors import Refused
+from rig.errors import Refused, Unsafe
 from rig.rescue import park_others
 from rig.stop_report import StopOutcome
 from rig.ticks import rad_to_ticks
@@ -79,6 +79,18 @@ def test_arms_do_not_pass_one_of_which_nobody_knows_where_it_is(scene: Scene) ->
     with pytest.raises(Refused, match="camera_azimuth stands is not known"):
         scene.park()
     assert scene.at(1) == AWAY
+
+
+def test_a_stuck_arm_stops_the_others_on_their_way_to_park(scene: Scene) -> None:
+    """Catches arms that are parked past solids with nobody looking whether they keep to their way."""
+    scene.rig = scene.rig.model_copy(update={"solids": default_rig().solids})
+    stuck = scene.rig.arm_joints[-1]
+    scene.servos.servos[stuck.id].hinder(0.0, time.monotonic(), math.inf)
+    with pytest.raises(Unsafe, match=rf"{stuck.name}.*off the way that was checked"):
+        scene.park()
+    assert len(scene.stops) == 1
+    assert {servo.moving(time.monotonic()) for servo in scene.servos.servos.values()} == {False}
+    assert scene.at(stuck.id) == AWAY
 
 
 def test_an_unusable_mode_is_not_an_error_to_the_others(scene: Scene) -> None:
