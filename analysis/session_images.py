@@ -14,9 +14,8 @@ import numpy as np
 from analysis.corrections import straightened
 from analysis.measurement import Image, Mosaic, PoseImages
 from analysis.stray_images import neighbour_weights, put_together
-from capture.dark import DarkModel
-from capture.merge import merge
 from capture.raw import read_raw
+from capture.session_merge import SessionMerger
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -62,6 +61,7 @@ class SessionImages:
         self.session = session
         sensor = session.sensor
         self._bend = sensor.response if straight and sensor is not None else None
+        self._merger = SessionMerger(session)
         self._records = session.poses()
 
     def pairs(self) -> list[PosePair]:
@@ -106,12 +106,7 @@ class SessionImages:
         frames = sorted(
             (frame for frame in record.frames if frame.lit), key=lambda f: (f.exposure_s, f.shot_id)
         )
-        merged = merge(
-            [read_raw(frame.checked()) for frame in frames],
-            [frame.exposure_s for frame in frames],
-            dark=self.dark,
-            sensor=self.session.sensor,
-        )
+        merged = self._merger.merge(record).merged
         radiance = np.asarray(merged.radiance, dtype=np.float64)
         variance = np.asarray(merged.variance, dtype=np.float64)
         if self._bend is not None:
@@ -139,18 +134,6 @@ class SessionImages:
         """Give the encoder positions of the arms' joints, in the order of `rig.arm_joints`."""
         rig = self.session.rig
         return tuple(record.ticks[rig.joint_index(joint.name)] for joint in rig.arm_joints)
-
-    @cached_property
-    def dark(self) -> DarkModel | None:
-        """The dark model of the session's own darks, or None without any."""
-        frames = [
-            frame
-            for index in sorted(self._by_index("dark"))
-            for frame in self._by_index("dark")[index].frames
-        ]
-        if not frames:
-            return None
-        return DarkModel.from_frames([read_raw(f.checked()) for f in frames], [f.exposure_s for f in frames])
 
     def exposures(self) -> dict[str, list[float]]:
         """Give all exposure times by pass, seconds."""

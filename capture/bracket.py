@@ -8,9 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.agreement import Agreement, agreement
-from capture.bracket_checks import refuse_all_clipped, refuse_foreign_darks, refuse_light_in_darks
+from capture.bracket_checks import (
+    refuse_all_clipped,
+    refuse_foreign_calibration,
+    refuse_foreign_darks,
+    refuse_light_in_darks,
+)
 from capture.clip import clip_levels
-from capture.dark import DarkModel, black_cell, subtrahend
+from capture.dark import DarkModel, black_cell, subtrahend, with_hot_pixels
 from capture.frames import as_stack, thinning
 from capture.merge import Merged, merge_stack
 from capture.ratios import ExposureFit, Ratio, fit_exposures, measure_ratios
@@ -19,6 +24,9 @@ from rig.errors import BadInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from capture.sensor import SensorModel
 
@@ -143,6 +151,7 @@ def merge_bracket(
     *,
     dark_files: Sequence[PathLike] = (),
     sensor: SensorModel | None = None,
+    hot: NDArray[np.bool_] | None = None,
     exposure_s: Sequence[float] | None = None,
     times: str = "auto",
     chi_square: bool = False,
@@ -157,6 +166,8 @@ def merge_bracket(
         Dark frames; those of a frame's own exposure are preferred, others are interpolated in time.
     sensor : SensorModel, optional
         Noise model; without it the merge is Poisson.
+    hot : ndarray of bool, shape (H, W), optional
+        Hot pixels that are known, besides those that the darks show.
     exposure_s : sequence of float, optional
         Exposure times of `files`, where the files carry none or wrong ones.
     times : str
@@ -171,8 +182,8 @@ def merge_bracket(
     Raises
     ------
     BadInput
-        Files or times that cannot be used, darks of another camera or with light in them, or frames that are
-        clipped everywhere.
+        Files or times that cannot be used, a calibration or darks of another camera or setting, darks with
+        light in them, or frames that are clipped everywhere.
     """
     if times not in TIMES:
         raise BadInput(f"times is {times!r}", todo=f"give one of {', '.join(TIMES)}")
@@ -182,6 +193,8 @@ def merge_bracket(
     seconds = [seconds[index] for index in order]
     sources = [sources[index] for index in order]
     stack = as_stack(frames, seconds)
+    if sensor is not None:
+        refuse_foreign_calibration(sensor, frames[0])
     dark, dark_sources = None, list[str]()
     if dark_files:
         dark_frames, dark_times, dark_sources = timed_frames(dark_files)
@@ -190,7 +203,7 @@ def merge_bracket(
         refuse_light_in_darks(
             dark, stack, [replace(f, exposure_s=s) for f, s in zip(dark_frames, dark_times, strict=True)]
         )
-    levels = subtrahend(dark, stack, sensor)
+    levels = with_hot_pixels(subtrahend(dark, stack, sensor), hot, stack)
     clip = clip_levels(stack.thinned(thinning(stack.shape, _CLIP_PIXELS)), black_cell(levels), sensor)
     ratios = measure_ratios(stack, levels, clip)
     fit = fit_exposures(stack.exposure_s, ratios)

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from capture.frames import Stack
     from capture.merge import Merged
     from capture.raw import RawHead
+    from capture.sensor import SensorModel
 
 _PIECE = 16
-_FEWEST_PIECES = 64
+_FEWEST_PIECES = 32
 _SAMPLE_PIXELS = 2_000_000
 
 ALIKE = 0.8
@@ -38,6 +39,36 @@ BRIGHT_DARK = 0.2
 _STATED = {"camera_serial": "camera serial", "camera_model": "camera model", "iso": "ISO"}
 
 
+def refuse_foreign_frame(first: RawHead, frame: RawHead) -> None:
+    """Refuse a frame that another camera or another setting made than the first one of its session.
+
+    Raises
+    ------
+    BadInput
+        It names the frame and what differs.
+    """
+    _refuse_other(first, frame, "shoot it again with the camera and the setting of the others")
+
+
+def refuse_foreign_calibration(sensor: SensorModel, frame: RawHead) -> None:
+    """Refuse a frame of another camera or ISO than the sensor's calibration; the unstated cannot contradict.
+
+    Raises
+    ------
+    BadInput
+        It names the frame and what differs.
+    """
+    for name in ("camera_serial", "iso"):
+        calibrated, used = getattr(sensor, name), getattr(frame, name)
+        if calibrated and used and calibrated != used:
+            what = f"its {_STATED[name]} is {used}, the sensor was calibrated at {calibrated}"
+            if name == "camera_serial":
+                what = f"it is of camera {used}, the sensor's calibration of {calibrated}"
+            raise BadInput(
+                what, where=str(frame.path), todo="merge it with the calibration of this camera and setting"
+            )
+
+
 def refuse_foreign_darks(frames: Sequence[RawHead], darks: Sequence[RawHead]) -> None:
     """Refuse darks that another camera or another setting made, as far as files state it.
 
@@ -47,16 +78,17 @@ def refuse_foreign_darks(frames: Sequence[RawHead], darks: Sequence[RawHead]) ->
         It names the dark frame and what differs.
     """
     for dark in darks:
-        for name, what in _STATED.items():
-            ours, theirs = getattr(frames[0], name), getattr(dark, name)
-            if ours is not None and theirs is not None and ours != theirs:
-                raise BadInput(
-                    f"its {what} is {theirs}, that of {frames[0].path.name} is {ours}",
-                    where=str(dark.path),
-                    todo="give darks of the same camera at the same setting",
-                )
+        _refuse_other(frames[0], dark, "give darks of the same camera at the same setting")
         if dark.lit:
             raise BadInput("the lamp was on, it says", where=str(dark.path), todo="leave it out of the darks")
+
+
+def _refuse_other(ours: RawHead, theirs: RawHead, todo: str) -> None:
+    for name, what in _STATED.items():
+        one, other = getattr(ours, name), getattr(theirs, name)
+        if one is not None and other is not None and one != other:
+            differs = f"its {what} is {other}, that of {ours.path.name} is {one}"
+            raise BadInput(differs, where=str(theirs.path), todo=todo)
 
 
 def refuse_light_in_darks(dark: DarkModel, stack: Stack, darks: Sequence[RawHead]) -> None:
@@ -100,6 +132,11 @@ def refuse_light_in_darks(dark: DarkModel, stack: Stack, darks: Sequence[RawHead
             raise BadInput(what, where=where, todo=todo)
 
 
+def is_all_clipped(merged: Merged) -> bool:
+    """Whether all frames are clipped everywhere: the merge holds nothing but a lower bound."""
+    return bool(np.all(merged.flags & np.uint8(Flag.OVER_RANGE)))
+
+
 def refuse_all_clipped(merged: Merged, stack: Stack) -> None:
     """Refuse a bracket whose frames are clipped everywhere: it holds nothing but a lower bound.
 
@@ -108,7 +145,7 @@ def refuse_all_clipped(merged: Merged, stack: Stack) -> None:
     BadInput
         It names the shortest frame.
     """
-    if np.all(merged.flags & np.uint8(Flag.OVER_RANGE)):
+    if is_all_clipped(merged):
         shortest = stack.shortest[0]
         what = (
             f"every pixel is clipped in every frame, in the shortest ({stack.exposure_s[shortest]:g} s) too"

@@ -2,7 +2,8 @@
 
 numpy walks over every sample about fifteen times; here a tile of two rows stays in the first cache from its
 counts to its flags. The machine code is made once and kept on disk by numba, so this module is imported
-only where there is enough to merge to pay for that.
+only where there is enough to merge to pay for that. All of it stands in one file: numba makes the code anew when
+this file changes, not when another does that it calls.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -285,6 +285,29 @@ def subtrahend(dark: Dark, stack: Stack, sensor: SensorModel | None = None) -> S
     levels, raw_darks = _given_levels(dark, stack)
     variance = sensor.floor_variance_dn2 if sensor is not None and raw_darks else 0.0
     return Subtrahend(levels, (variance,) * len(levels), (0.0, 0.0, 0.0), rate, None, matched=False)
+
+
+def with_hot_pixels(dark: Subtrahend, hot: NDArray[np.bool_] | None, stack: Stack) -> Subtrahend:
+    """Add the hot pixels of the sensor's calibration to those that the darks show.
+
+    Parameters
+    ----------
+    dark : Subtrahend
+    hot : ndarray of bool, shape (H, W), or None
+    stack : Stack
+        The frames.
+
+    Raises
+    ------
+    BadInput
+        The map is of another size than the frames.
+    """
+    if hot is None:
+        return dark
+    if hot.shape != stack.shape:
+        what = f"the calibration's hot pixels are of {hot.shape}, the frames of {stack.shape}"
+        raise BadInput(what, where=stack.names[0], todo="calibrate the sensor with the crop that is in use")
+    return replace(dark, hot=hot if dark.hot is None else dark.hot | hot)
 
 
 def _from_model(dark: DarkModel, stack: Stack) -> Subtrahend:

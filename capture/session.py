@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import TracebackType
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from capture.plan import Plan
     from capture.records import Event, PlannedPose, PoseFlag, Shot, Visit
     from capture.sensor import SensorModel
@@ -190,6 +193,13 @@ class Session:
     def sensor(self) -> SensorModel | None:
         """The sensor's calibration, None where the machine had none."""
         return load_session_sensor(self.folder)
+
+    @property
+    def hot_pixels(self) -> NDArray[np.bool_] | None:
+        """The hot pixels of the sensor's calibration, shape (H, W), None where the machine had no map."""
+        from capture.hot_pixels import HOT_PIXELS_FILE, load_hot_pixels
+
+        return load_hot_pixels(self.folder / CALIBRATION_FOLDER / HOT_PIXELS_FILE)
 
     def edited_files(self) -> list[str]:
         """Names of the session's files that are no longer as the capture left them.

@@ -189,6 +189,7 @@ def _finish(
     """Characterise the frames, write everything, tell."""
     from analysis.sensor_page import write_sensor_page
     from capture.characterise import characterise
+    from capture.hot_pixels import HOT_PIXELS_FILE, save_hot_pixels
     from capture.sensor import save_sensor
     from capture.sensor_doubts import doubts_of
     from capture.sensor_frames import raw_files, sort_frames
@@ -213,6 +214,7 @@ def _finish(
     current = folder.parent / "sensor.toml"
     with whole_file(current) as file:
         save_sensor(model, file)
+    save_hot_pixels(character.dark.hot, folder.parent / HOT_PIXELS_FILE)
     _tell(options, character, current, folder, doubts)
     return 0
 

@@ -58,7 +58,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--inspect", action="store_true", help="do not merge: tell what the files can be trusted for"
     )
     parser.add_argument("--dark", nargs="+", default=[], metavar="FILE", help="dark frames, any exposures")
-    parser.add_argument("--sensor", metavar="TOML", help="the sensor's calibration (gain, read noise, clip)")
+    parser.add_argument(
+        "--sensor", metavar="TOML", help="the sensor's calibration, and the hot pixels beside it"
+    )
     parser.add_argument(
         "--exposure-s", metavar="LIST", help="exposure times in seconds, comma-separated, in order"
     )
@@ -80,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
     if options.inspect:
         return _run_inspection(options)
     from capture.bracket import merge_bracket
+    from capture.hot_pixels import HOT_PIXELS_FILE, load_hot_pixels
     from capture.sensor import load_sensor
 
     sensor = load_sensor(options.sensor) if options.sensor else None
@@ -89,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
         options.files,
         dark_files=options.dark,
         sensor=sensor,
+        hot=load_hot_pixels(Path(options.sensor).with_name(HOT_PIXELS_FILE)) if options.sensor else None,
         exposure_s=_times(options.exposure_s),
         times=options.times,
         chi_square=bool(options.out),

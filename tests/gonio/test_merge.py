@@ -266,6 +266,7 @@ def test_session_is_merged_pose_by_pose(
     fake = SimpleNamespace(
         folder=folder,
         sensor=load_sensor(sensor_file(tmp_path)),
+        hot_pixels=None,
         poses=lambda role: [pose for pose in poses if pose.role == role],
     )
     monkeypatch.setattr(Session, "open", lambda _: _Context(fake))
