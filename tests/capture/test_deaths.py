@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 PLAN = {
     "plan": {"name": "brass", "sample": "sample1"},
     "darks": {"count": 1},
+    "trap": {"every": 2},
     "poses": [{"kind": "sweep", "theta_i_deg": [30], "theta_o_deg": [0, 30]}],
 }
 
