@@ -30,6 +30,9 @@ PLAN = {
     "poses": [{"kind": "sweep", "theta_i_deg": [30], "theta_o_deg": [0, 30]}],
 }
 
+REFERENCED = PLAN | {"references": {"max_interval_s": 1e-6}}
+"""References are due before every pose that comes after one."""
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs fork and SIGKILL")
 
 
@@ -47,11 +50,13 @@ class Mortal:
             text=True,
         )
 
-    def live(self, session: Path, last: int | None = None) -> tuple[int, list[str]]:
+    def live(
+        self, session: Path, last: int | None = None, *, plan: dict[str, Any] = PLAN
+    ) -> tuple[int, list[str]]:
         """Capture into a session, or resume it; return the exit code and the steps taken."""
         steps = self.folder / "steps.txt"
         request = {
-            "session": str(session), "rig": self._twin.rig, "plan": PLAN, "steps": str(steps), "last": last,
+            "session": str(session), "rig": self._twin.rig, "plan": plan, "steps": str(steps), "last": last,
         }  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -131,9 +136,11 @@ def facts_of(session: Path) -> dict[str, Any]:
         return {"visits": journal.visits(), "shots": shots, "statistics": statistics, "frames": frames}
 
 
-def die_and_go_on(mortal: Mortal, session: Path, number: int, wanted: dict[str, Any]) -> None:
+def die_and_go_on(
+    mortal: Mortal, session: Path, number: int, wanted: dict[str, Any], *, plan: dict[str, Any] = PLAN
+) -> None:
     """Die at a step, go on, and compare with who never died."""
-    code, steps = mortal.live(session, number)
+    code, steps = mortal.live(session, number, plan=plan)
     assert code == -signal.SIGKILL
     code, _ = mortal.live(session)
     assert code == 0, f"cannot go on after {steps[-1]}"
@@ -198,6 +205,21 @@ def test_a_death_around_each_commit_of_a_resume(
     for number in essential(resume_steps):
         if resume_steps[number] not in known:
             die_and_go_on(mortal, damaged(), number, wanted)
+
+
+def test_a_death_in_a_reference(mortal: Mortal) -> None:
+    """Would catch a frame of a reference that ends among the samples', or one that nobody can go on after."""
+    session = mortal.place()
+    code, steps = mortal.live(session, plan=REFERENCED)
+    assert code == 0
+    with Session.open(session) as opened:
+        told = [event.detail["role"] for event in opened.events() if event.kind == "reference"]
+    assert set(told) == {"white", "dark", "trap"}
+    wanted = facts_of(session)
+    kept = [n for n in once_each(steps) if "keep_guard" in steps[n] and steps[n].endswith("replace, after")]
+    assert kept
+    for number in kept:
+        die_and_go_on(mortal, mortal.place(), number, wanted, plan=REFERENCED)
 
 
 @pytest.mark.slow
