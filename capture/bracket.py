@@ -154,6 +154,7 @@ def merge_bracket(
     hot: NDArray[np.bool_] | None = None,
     exposure_s: Sequence[float] | None = None,
     times: str = "auto",
+    truncated: bool = False,
     chi_square: bool = False,
 ) -> BracketMerge:
     """Merge the files of one bracket.
@@ -172,6 +173,8 @@ def merge_bracket(
         Exposure times of `files`, where the files carry none or wrong ones.
     times : str
         One of `TIMES`.
+    truncated : bool
+        Whether the camera cuts its counts to whole steps instead of rounding them.
     chi_square : bool
         Whether to return the map of how well the frames agree.
 
@@ -203,7 +206,7 @@ def merge_bracket(
         refuse_light_in_darks(
             dark, stack, [replace(f, exposure_s=s) for f, s in zip(dark_frames, dark_times, strict=True)]
         )
-    levels = with_hot_pixels(subtrahend(dark, stack, sensor), hot, stack)
+    levels = with_hot_pixels(subtrahend(dark, stack, sensor, truncated=truncated), hot, stack)
     clip = clip_levels(stack.thinned(thinning(stack.shape, _CLIP_PIXELS)), black_cell(levels), sensor)
     ratios = measure_ratios(stack, levels, clip)
     fit = fit_exposures(stack.exposure_s, ratios)

@@ -64,6 +64,8 @@ class SensorModel:
         Relative standard deviation of the pixels' responses.
     lamp_temperature_deg_c : float, optional
         Of the lamp head before the lamp first came on, which is the room's after a pause.
+    truncated : bool
+        Whether counts are cut to whole steps, not rounded: those of lit pixels are half a step low.
 
     Raises
     ------
@@ -90,6 +92,7 @@ class SensorModel:
     bend_error: float | None = None
     prnu: float | None = None
     lamp_temperature_deg_c: float | None = None
+    truncated: bool = False
 
     def __post_init__(self) -> None:
         _check(self.gain_dn_per_e > 0, "gain_dn_per_e", self.gain_dn_per_e, _POSITIVE)
@@ -148,6 +151,7 @@ def _check(fine: bool, name: str, value: object, wanted: str) -> None:
 
 _ELECTRON_KEYS = {"read_noise_e": "read_noise_dn", "dark_current_e_per_s": "dark_current_dn_per_s"}
 _TEXT_KEYS = frozenset({"camera_serial", "camera_model", "date", "note"})
+_SWITCH_KEYS = frozenset({"truncated"})
 _LIST_KEYS = frozenset({"clip_dn", "black_dn", "bend"})
 _REQUIRED_KEYS = ("gain_dn_per_e", "read_noise_dn", "clip_dn")
 FORMAT_VERSION = 1
@@ -210,6 +214,9 @@ def _model(values: dict[str, Any]) -> SensorModel:
 def _value(key: str, value: Any) -> Any:
     if key in _TEXT_KEYS:
         return str(value)
+    if key in _SWITCH_KEYS:
+        _check(isinstance(value, bool), key, value, "true or false")
+        return value
     if key in _LIST_KEYS and isinstance(value, list):
         return tuple(_number(key, item) for item in value)
     number = _number(key, value)

@@ -70,6 +70,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="times to merge with: auto (default) takes fitted ones where the frames refute the nominal",
     )
+    parser.add_argument(
+        "--truncated", action="store_true", help="the camera cuts its counts to whole DN, it does not round"
+    )
     parser.add_argument("--out", metavar="FILE.npz", help="write radiance, variance and flags")
     parser.add_argument(
         "--preview", metavar="FILE.png", help="write a small picture, logarithmic, hot pixels filled"
@@ -95,6 +98,7 @@ def run(options: argparse.Namespace) -> int:
         hot=load_hot_pixels(Path(options.sensor).with_name(HOT_PIXELS_FILE)) if options.sensor else None,
         exposure_s=_times(options.exposure_s),
         times=options.times,
+        truncated=options.truncated,
         chi_square=bool(options.out),
     )
     if options.out:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from capture.dark import DarkModel, subtrahend
 from capture.frames import as_stack
+from capture.merge import merge
+from capture.sensor import SensorModel
 from rig.errors import BadInput
 
 if TYPE_CHECKING:
@@ -144,3 +147,22 @@ def test_coarse_counts_make_no_pixel_hot() -> None:
     frames = [np.rint(128.0 + 0.71 * rng.standard_normal((400, 600))) for _ in range(8)]
 
     assert not DarkModel.from_frames(frames, [10.0] * 8).hot.any()
+
+
+@pytest.mark.parametrize(("noise_dn", "quiet"), [(0.05, True), (0.8, False)])
+def test_cut_counts_are_not_half_a_step_low(noise_dn: float, quiet: bool) -> None:
+    """Would catch cut counts taken for rounded ones, or the half step added where darks are as low."""
+    rng, shape, level, black, times = np.random.default_rng(4), (200, 200), 3.3, 8.1, [1.0, 4.0]
+    signal = [rng.poisson(level * t / 0.05, shape) * 0.05 for t in times]
+    noise = [rng.normal(0.0, noise_dn, shape) for _ in range(8)]
+    frames = [np.floor(s + n + black).astype(np.uint16) for s, n in zip(signal, noise[:2], strict=True)]
+    darks = [np.floor(n + black).astype(np.uint16) for n in noise[2:]]
+    dark = DarkModel.from_frames(darks, [1.0, 1.0, 1.0, 4.0, 4.0, 4.0])
+    cut = SensorModel(0.05, noise_dn, 255, truncated=True)
+    rounded = replace(cut, truncated=False)
+    found, plain = (float(merge(frames, times, dark=dark, sensor=s).radiance.mean()) for s in (cut, rounded))
+    # Quiet darks tell their level to a step only: here it is 0.1 DN above the code.
+    assert found == pytest.approx(level, abs=0.06)
+    assert (found - plain > 0.15) == quiet
+    stated = float(merge(frames, times, dark=black, sensor=cut).radiance.mean())
+    assert stated == pytest.approx(level, abs=0.03)

@@ -70,6 +70,7 @@ def test_electrons_become_dn(tmp_path: Path) -> None:
         ("gain_dn_per_e = '1'\nread_noise_dn = 1\nclip_dn = 9", "gain_dn_per_e"),
         ("read_noise_e = 1\nclip_dn = 9", "gain_dn_per_e"),
         ("version = 2\ngain_dn_per_e = 1\nread_noise_dn = 1\nclip_dn = 9", "version"),
+        ("gain_dn_per_e = 1\nread_noise_dn = 1\nclip_dn = 9\ntruncated = 1", "truncated"),
         ("gain_dn_per_e = ", "TOML"),
     ],
 )
