@@ -4,7 +4,8 @@ A pose lights the walls by the lamp, exactly at every node of a quadrature rule,
 by the sample, which throws the lamp's light on them as its f_r does, and by each other
 (`simulator.light.wall_light`). The last step gathers, at a few points of the sample, the walls' radiance with
 f_r, where `simulator.light.gather_nodes` says. Over the sample the light is smooth, and is interpolated by
-polynomials. Everything is refined until the picture changes by less than the tolerance.
+polynomials. Everything is refined until the picture changes by less than the tolerance; where that is large,
+one value is taken for all of the picture (`simulator.light.rough_walls`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from simulator.light.evaluator import Evaluator, Method, Rendering
 from simulator.light.gather_nodes import LEVELS, Level, in_rings, interpolation, rings
 from simulator.light.paths import LightPaths
 from simulator.light.reflectance import material_reflectance
+from simulator.light.rough_walls import ERROR, RoughWalls
 from simulator.light.scene import Event
 from simulator.light.wall_light import SIDE_PATCHES, WallLight
 
@@ -37,6 +39,8 @@ Array = NDArray[np.float64]
 
 _SECONDS_PER_NODE, _LEVEL_S, _PIXEL_S = 3e-7, 2e-3, 1e-7
 """Time of a node besides that of its f_r, of a level, and of a pixel at each level."""
+_ROUGH_S, _ROUGH_PIXEL_S = 7e-4, 4e-8
+"""Time of one value for all of the picture, and of putting it in a pixel."""
 _REACHED = (3e-2, 5e-3, 1e-3, 3e-4)
 """Estimated errors after the second level, and after those above."""
 
@@ -59,6 +63,7 @@ class Radiosity(Evaluator):
         self._glossy = Event.GLOSSY in scene.events
         self._kinematics, self._lens = Kinematics(scene.rig), lens_of(scene.rig)
         self._light = WallLight(scene, reflectance, paths)
+        self._rough = RoughWalls(scene, reflectance, self._light)
         self.walls = self._light.walls
 
     def render(self, angles_rad: Sequence[float], tolerance: float) -> Rendering:
@@ -66,12 +71,17 @@ class Radiosity(Evaluator):
         camera, frames = self._scene.rig.camera, self._kinematics.frames(np.asarray(angles_rad))
         points, w = meet(view_of(frames, POINTS), self._lens, np.zeros(2))
         with np.errstate(invalid="ignore"):
-            edge = np.sum(points[:, :2] ** 2, axis=1) <= self._scene.sample_radius_mm**2
+            edge = points[:, 0] ** 2 + points[:, 1] ** 2 <= self._scene.sample_radius_mm**2
         on_sample = np.flatnonzero(edge & (w > 0.0) & (frames.camera_mm[2] > 0.0))
         radiance = np.zeros((camera.height_px * camera.width_px, 3))
         shape = (camera.height_px, camera.width_px, 3)
         if not on_sample.size:
             return Rendering(radiance.reshape(shape), 0.0, "the camera does not see the sample")
+        if tolerance >= ERROR:
+            rough = self._rough.radiance(frames.light_mm, frames.camera_mm)
+            if rough is not None:
+                radiance[on_sample] = rough
+                return Rendering(radiance.reshape(shape), ERROR, "one value, from the patches' middles")
         positions = points[on_sample, :2]
         fine, error = self.picture(frames.light_mm, frames.camera_mm, positions, LEVELS[0])[0], np.inf
         for used in LEVELS[1:]:
@@ -189,6 +199,9 @@ class RadiosityMethod(Method):
 
     def seconds(self, scene: Scene, paths: LightPaths, tolerance: float, *, vector: bool) -> float:  # noqa: ARG002
         """Predict the time of one pose; see `Method`."""
+        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
+        if tolerance >= ERROR:
+            return _ROUGH_S + _ROUGH_PIXEL_S * pixels
         needed = 2 + sum(tolerance < reached for reached in _REACHED)
         glossy = Event.GLOSSY in scene.events
         nodes = sum(
@@ -196,7 +209,6 @@ class RadiosityMethod(Method):
             for level in LEVELS[:needed]
         )
         asked = value_s(scene.material, vector=vector) if glossy else 0.0
-        pixels = scene.rig.camera.width_px * scene.rig.camera.height_px
         return needed * (_LEVEL_S + _PIXEL_S * pixels) + nodes * (_SECONDS_PER_NODE + asked)
 
     def build(self, mi: Any, scene: Scene, paths: LightPaths) -> Radiosity:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rig.angles import unit
 from simulator.light.hemisphere import hemisphere
 from simulator.light.scene import Event
-from simulator.light.walls import Walls
+from simulator.light.walls import WallRule, Walls
 from simulator.light.ways import crosses_disc
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from simulator.light.paths import LightPaths
     from simulator.light.scene import Scene
-    from simulator.light.walls import Indices, WallRule
+    from simulator.light.walls import Indices
 
     Reflectance = Callable[["Array", "Array"], "Array"]
 
@@ -57,6 +57,11 @@ class Wanted:
     sample_first: bool
     longer: bool
 
+    @property
+    def mostly_lamp(self) -> bool:
+        """Whether light that the sample throws on the walls is little of it."""
+        return self.once or self.twice
+
     @classmethod
     def of(cls, scene: Scene, paths: LightPaths) -> Wanted:
         """Read it off a set of paths."""
@@ -84,12 +89,13 @@ class WallLight:
     Attributes
     ----------
     walls : Walls
+    wanted : Wanted
     """
 
     def __init__(self, scene: Scene, reflectance: Reflectance, paths: LightPaths) -> None:
         if scene.housing is None:
             raise ValueError("radiosity needs a housing")
-        self._scene, self._reflectance, self._wanted = scene, reflectance, Wanted.of(scene, paths)
+        self._scene, self._reflectance, self.wanted = scene, reflectance, Wanted.of(scene, paths)
         self._albedo, half_mm = scene.housing.albedo, scene.housing.half_size_mm
         self.walls = Walls(half_mm, SIDE_PATCHES)
         self._sample_area = np.pi * scene.sample_radius_mm**2
@@ -119,7 +125,7 @@ class WallLight:
 
     def leaving(self, lamp: Array, sample: Array, repeated: Array) -> Array:
         """Radiance (2, N, 3) of places on the walls, of the paths that are wanted."""
-        first = self._wanted.once * lamp[:, None] + self._wanted.sample_first * sample
+        first = self.wanted.once * lamp[:, None] + self.wanted.sample_first * sample
         return self._albedo / np.pi * (first + repeated)
 
     def repeated(self, rule: WallRule, lamp: Array, sample: Array) -> Array:
@@ -135,12 +141,19 @@ class WallLight:
             As `by_sample` does.
         """
         lamp, sample = self._patch_means(rule, lamp), self._patch_means(rule, sample)
-        return np.stack([patches.repeated(lamp, sample, self._wanted) for patches in self._patches])
+        return np.stack([patches.repeated(lamp, sample, self.wanted) for patches in self._patches])
 
     def _patch_means(self, rule: WallRule, values: Array) -> Array:
         total = np.zeros((len(self.walls), *values.shape[1:]))
         np.add.at(total, rule.patches, (values.T * rule.areas).T)
         return total / self.walls.patch_area
+
+    def from_lamp(self, lamp_mm: Array) -> Array:
+        """Radiance (P,) of the patches as their middles tell, without what the sample throws on them."""
+        walls, every = self.walls, np.arange(len(self.walls))
+        middles = WallRule(walls.centres, walls.normals, np.full(len(every), walls.patch_area), every)
+        first = self.by_lamp(lamp_mm, middles)
+        return self._albedo / np.pi * self._patches[0].from_lamp(first, self.wanted)
 
     def by_lamp(self, lamp_mm: Array, places: WallRule) -> Array:
         """Irradiance (N,) of places on the walls by the lamp."""
@@ -157,7 +170,7 @@ class WallLight:
     def by_sample(self, lamp_mm: Array, places: WallRule) -> Array:
         """Irradiance (N, 3) of places on the walls by the sample, which the lamp lights."""
         found = np.zeros((len(places.points), 3))
-        asked = self._wanted.sample_first or self._wanted.longer
+        asked = self.wanted.sample_first or self.wanted.longer
         if not asked or lamp_mm[2] <= 0.0:
             return found
         above = places.points[:, 2] > 0.0
@@ -213,6 +226,12 @@ class _Patches:
             twice = (self._exchange @ first[:, 0])[:, None]
             found = found + twice if wanted.twice else found - twice
         return np.asarray(found[self._parents])
+
+    def from_lamp(self, first: Array, wanted: Wanted) -> Array:
+        """Irradiance (M,) by the lamp (M,), and by other walls that it lights."""
+        again = self._exchange @ first
+        found = wanted.once * first + wanted.twice * again
+        return found + (self._solved @ first - first - again) if wanted.longer else found
 
 
 def _aggregated(shares: Array, parents: Indices) -> Array:
