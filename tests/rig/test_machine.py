@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.render
 
 GOAL_SYNC_WRITE = bytes([0x83, CONTROL_TABLE["goal_position"].address, 0, 4, 0])
-PACKET = b"\xff\xff\xfd\x00"
 LIGHT_OFF = b"OUTP OFF\n"
 
 
@@ -129,9 +128,6 @@ def test_a_stop_from_another_thread_ends_a_move(slow_twin: Twin) -> None:
         assert machine.stop().outcome is StopOutcome.CONFIRMED
         mover.join(WAIT_S)
         assert isinstance(caught[0], Refused)
-        packets = b"".join(data for line, data in heard(slow_twin, since) if line == "servos")
-        before = packets[: packets.index(GOAL_SYNC_WRITE)].count(PACKET)
-        assert before <= 3  # a look of the mover's under way, one of the stop's, the stop itself
         held = machine.arms.measure().angles_rad
         assert all(abs(angle - goal) > 0.1 for angle, goal in zip(held, far, strict=True))
         with pytest.raises(Refused, match="stopped"):
