@@ -111,6 +111,8 @@ def _by_recipe(options: argparse.Namespace) -> int:
                 where="--" + name.replace("_", "-"),
                 todo="leave it out; the step angle_cut leaves out angles",
             )
+    if options.without:
+        raise BadInput("means nothing to a recipe", where="--without", todo="leave out the step instead")
     if options.out is None:
         raise BadInput("no file to write to", where="--out", todo="give one, such as --out samples.nc")
     from analysis.formats import require_writer

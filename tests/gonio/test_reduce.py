@@ -32,6 +32,8 @@ def _gonio(*arguments: str) -> subprocess.CompletedProcess[str]:
         (("reduce", "{missing}"), "not a session"),
         (("reduce", "{empty}", "--bin-px", "7"), "--bin-px"),
         (("reduce", "{empty}", "--bin-px", "0"), "--bin-px"),
+        (("reduce", "{empty}", "--without", "flat-field,straylight"), "--without"),
+        (("reduce", "{empty}", "--recipe", "rt300s", "--without", "linearity"), "--without"),
         (("reduce", "{empty}", "--max-theta-deg", "90"), "--max-theta-deg"),
         (("report", "{empty}"), "not a session"),
         (("report", "{missing}", "--json"), "not a session"),
