@@ -250,9 +250,13 @@ _SETTINGS: tuple[tuple[str, Callable[[FrameFacts], Any], str], ...] = (
 def _of_settings(facts: Sequence[FrameFacts]) -> list[Finding]:
     findings = []
     for name, value, todo in _SETTINGS:
-        differing = tuple(fact.path for fact in facts if value(fact) != value(facts[0]))
+        first = next((fact for fact in facts if value(fact) is not None), facts[0])
+        silent = tuple(fact.path for fact in facts if value(fact) is None and value(first) is not None)
+        differing = tuple(fact.path for fact in facts if value(fact) not in (None, value(first)))
         if differing:
-            findings.append(Finding(f"{name} differs from that of {facts[0].path}", differing, todo))
+            findings.append(Finding(f"{name} differs from that of {first.path}", differing, todo))
+        if silent:
+            findings.append(Finding(f"{name} is not stated, unlike in {first.path}", silent, todo))
     return findings
 
 

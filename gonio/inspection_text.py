@@ -28,7 +28,7 @@ def print_inspection(found: Inspection) -> None:
 def _print_facts(fact: FrameFacts) -> None:
     print(fact.path)
     camera = f"{fact.camera or 'unknown camera'}, serial {fact.serial or 'not stated'}"
-    print(f"  {camera}, {fact.width_px} x {fact.height_px}, {' '.join(fact.cfa)}")
+    print(f"  {camera}, {fact.width_px} x {fact.height_px}, {_filters(fact.cfa)}")
     settings = [
         _stated("ISO", fact.iso),
         _stated("time", fact.exposure_s, " s"),
@@ -36,10 +36,18 @@ def _print_facts(fact: FrameFacts) -> None:
         "white balance " + ("not stated" if fact.white_balance is None else _levels(fact.white_balance)),
     ]
     print(f"  {', '.join(settings)}")
-    print(f"  black stated {_levels(fact.black_dn)}, covered {_levels(fact.optical_black_dn or (), 'no')} DN")
-    shown = _levels(fact.clip_dn, "none")
-    print(f"  clip stated {fact.white_dn:g}, shown {shown} DN, highest {fact.highest_dn}")
+    covered = _levels(fact.optical_black_dn or ())
+    of_covered = f"covered pixels read {covered} DN" if covered else "no covered pixels"
+    print(f"  black taken as {_levels(fact.black_dn)} DN, {of_covered}")
+    shown = _levels(fact.clip_dn)
+    of_clip = f"shows at {shown} DN" if shown else "does not show"
+    print(f"  clip level taken as {fact.white_dn:g} DN, {of_clip}, highest count {fact.highest_dn}")
     print(f"  {fact.bits} bits in use, in steps of {fact.step_dn}")
+
+
+def _filters(cfa: Sequence[str]) -> str:
+    """Colours row by row; one name where no colour filter is stated."""
+    return cfa[0] if len(set(cfa)) == 1 else " ".join(cfa)
 
 
 def _stated(name: str, value: float | None, unit: str = "") -> str:

@@ -73,6 +73,18 @@ def test_what_changed_is_named(tmp_path: Path, changes: dict[str, Any], said: st
     assert "odd.dng" in text
 
 
+def test_what_only_some_state_is_not_called_different(tmp_path: Path) -> None:
+    """Would catch a difference claimed where one of the files is silent."""
+    plain = tmp_path / "plain.tif"
+    tifffile.imwrite(plain, np.full((96, 128), 700, np.uint16))
+    text = words([frame(tmp_path, "a", "1/100"), str(plain)])
+    assert "camera model is not stated, unlike in" in text
+    assert "camera model differs" not in text
+    silent_first = words([str(plain), frame(tmp_path, "a", "1/100")])
+    assert "camera model is not stated, unlike in" in silent_first
+    assert "camera model differs" not in silent_first
+
+
 def test_the_same_picture_twice_is_named(tmp_path: Path) -> None:
     """Would catch a copy counted as a second measurement."""
     files = [frame(tmp_path, "a", "1/100"), frame(tmp_path, "copy", "1/100"), frame(tmp_path, "c", "1/25")]
