@@ -39,8 +39,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         "Flea3, seven exposures, darks of the day: samples of 60 to 240 DN (of 255) against the merge. "
         "Pixels beside clipped ones read low on this CCD: such samples are left out, and the figure shows "
         "what they would have done to the merge. Where the other frames hold a few counts only (they tell "
-        "less than 2 %, and this camera cuts its counts, half a DN too low) they are used, and flagged: the "
-        "low bias stays there, as the smaller error.",
+        "less than 2 %) they are used, and flagged: the low bias stays there, as the smaller error. The "
+        "camera cuts its counts, and its darks are too quiet to be as low: half a DN is added.",
         ("flea3.png", "550 nm: merge with samples beside clipped green against that without"),
     ),
     "imaging_peers": (
@@ -52,8 +52,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     ),
     "imaging_speed": (
         "Time and memory",
-        "CPU time of one thread, in pairs of runs that follow each other; memory of a process of its own. On "
-        "a machine that does other work too, passes over memory lose more than OpenCV's logarithms.",
+        "CPU time of one thread, in pairs of runs that follow each other; memory of a process of its own. "
+        "Compiled code merges such frames; the first merge ever on a machine waits some seconds for it.",
         None,
     ),
     "imaging_sensor": ("A sensor from its own frames", "The worst of eight simulated cameras.", None),
