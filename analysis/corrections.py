@@ -16,7 +16,7 @@ as the white, most for a black one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from analysis.measurement import Image, PoseImages
+    from analysis.binning import PixelSignals
+    from analysis.measurement import Image, Mosaic, PoseImages
     from capture.linearity import Bend
     from capture.sensor import SensorModel
     from rig.description import Rig
@@ -179,6 +180,25 @@ def _light_over(image: Image, other: Image) -> float:
     return ratio if math.isfinite(ratio) else 1.0
 
 
+def stray_as_f(stray: Stray, pixels: PixelSignals, mosaic: Mosaic) -> Float:
+    """Express stray light on the sample as the f_r of a surface that would look so bright, (C,) 1/sr.
+
+    Parameters
+    ----------
+    stray : Stray
+    pixels : PixelSignals
+        Of the pose.
+    mosaic : Mosaic
+    """
+    found = np.zeros(len(mosaic.names))
+    light = np.broadcast_to(stray.on_sample, pixels.signal.shape)
+    for index in range(len(found)):
+        mine = pixels.usable & (mosaic.channel == index)
+        reference = float(np.sum(pixels.reference[mine]))
+        found[index] = float(np.sum(light[mine])) / reference if reference > 0.0 else 0.0
+    return found
+
+
 def u_stray_of(f_r: Float, rho_white: Float, stray: Stray, stray_f: Float, *, corrected: bool) -> Float:
     """Uncertainty of f_r by stray light, 1/sr.
 
@@ -209,7 +229,40 @@ def lamp_drift(rig: Rig, images: PoseImages, *, correct: bool) -> tuple[float, f
     return (ratio, rig.lamp.u_monitor) if correct else (1.0, math.hypot(ratio - 1.0, rig.lamp.u_monitor))
 
 
-def without_flat_field(
+def flattened(
+    rig: Rig, pixels: PixelSignals, mosaic: Mosaic, *, correct: bool
+) -> tuple[PixelSignals, Float | float]:
+    """Keep the flat field that the white shows, or make it even.
+
+    Parameters
+    ----------
+    rig : Rig
+    pixels : PixelSignals
+        With the white's flat field.
+    mosaic : Mosaic
+    correct : bool
+        Whether it stays.
+
+    Returns
+    -------
+    pixels : PixelSignals
+    u_relative : float or (C,) float
+        What is left uncertain: corrected, what the white's plate itself is uneven by.
+    """
+    if correct:
+        return pixels, rig.white.u_uniformity
+    with np.errstate(invalid="ignore", divide="ignore"):
+        even, variance, unevenness = _without_flat_field(
+            pixels.reference / pixels.weight,
+            pixels.reference_variance / pixels.weight**2,
+            pixels.usable,
+            mosaic.channel,
+        )
+    left = replace(pixels, reference=even * pixels.weight, reference_variance=variance * pixels.weight**2)
+    return left, unevenness
+
+
+def _without_flat_field(
     reference: Float, variance: Float, usable: NDArray[np.bool_], channel: NDArray[np.intp]
 ) -> tuple[Float, Float, Float]:
     """Replace the white's picture by its mean over each channel: one factor for the whole frame.

@@ -15,7 +15,7 @@ trap showed it, is subtracted from both (`analysis.corrections`). Bins take rati
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,10 +24,11 @@ from analysis.binning import Dropped, PixelSignals, bin_ratio, curvature, make_b
 from analysis.corrections import (
     Correction,
     Stray,
+    flattened,
     lamp_drift,
+    stray_as_f,
     stray_light,
     u_stray_of,
-    without_flat_field,
 )
 from capture.merge import Flag
 from rig.pixels import irradiance, pixel_direction_derivatives, pixel_geometry
@@ -236,7 +237,7 @@ def reduce_pose(
     stray = stray_light(rig, images, rho_white)
     taken_out = stray if stray is not None and options.corrects(Correction.STRAY_LIGHT) else Stray()
     pixels = _signals(images, geometries, (to_unit_f * drift, e_sample), seen, taken_out)
-    pixels, u_flat = _flattened(rig, pixels, mosaic, correct=options.corrects(Correction.FLAT_FIELD))
+    pixels, u_flat = flattened(rig, pixels, mosaic, correct=options.corrects(Correction.FLAT_FIELD))
     binned = bin_ratio(pixels, bins, mosaic.channel, len(mosaic.names), min_fill=options.min_fill)
     u_geometry = 0.0 if same_pose else _irradiance_uncertainty(rig, images, bins, u_joint_rad)
     u_binning = curvature(binned.ratio, binned.u_signal**2 + binned.u_reference**2, bins.shape)
@@ -248,7 +249,7 @@ def reduce_pose(
     relative_reference = reference.u_rho(*everywhere) / rho
     u_stray = None
     if stray is not None:
-        stray_f = _as_f(stray, pixels, mosaic)
+        stray_f = stray_as_f(stray, pixels, mosaic)
         corrected = options.corrects(Correction.STRAY_LIGHT)
         u_stray = u_stray_of(ratio, rho, stray, stray_f, corrected=corrected)
     return PoseSamples(
@@ -310,37 +311,6 @@ def _signals(
         wi=geometries[0].wi,
         wo=geometries[0].wo,
     )
-
-
-def _flattened(
-    rig: Rig, pixels: PixelSignals, mosaic: Mosaic, *, correct: bool
-) -> tuple[PixelSignals, Float | float]:
-    """Pixels with the white's own flat field or, uncorrected, an even one; and what is left uncertain, (C,).
-
-    Corrected, what the white's plate itself is uneven by is left.
-    """
-    if correct:
-        return pixels, rig.white.u_uniformity
-    with np.errstate(invalid="ignore", divide="ignore"):
-        even, variance, unevenness = without_flat_field(
-            pixels.reference / pixels.weight,
-            pixels.reference_variance / pixels.weight**2,
-            pixels.usable,
-            mosaic.channel,
-        )
-    left = replace(pixels, reference=even * pixels.weight, reference_variance=variance * pixels.weight**2)
-    return left, unevenness
-
-
-def _as_f(stray: Stray, pixels: PixelSignals, mosaic: Mosaic) -> Float:
-    """Stray light on the sample as the f_r of a surface that would look so bright, (C,) 1/sr."""
-    found = np.zeros(len(mosaic.names))
-    light = np.broadcast_to(stray.on_sample, pixels.signal.shape)
-    for index in range(len(found)):
-        mine = pixels.usable & (mosaic.channel == index)
-        reference = float(np.sum(pixels.reference[mine]))
-        found[index] = float(np.sum(light[mine])) / reference if reference > 0.0 else 0.0
-    return found
 
 
 def _well_seen(rig: Rig, geometry: PixelGeometry, options: Options) -> NDArray[np.bool_]:
