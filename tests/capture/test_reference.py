@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.interruptions import REFERENCE
 from capture.comparison import Step
+from capture.interruptions import REFERENCE
 from capture.run import capture, resume
 from capture.session import Session, hash_file
 from capture.wishes import Wishes
