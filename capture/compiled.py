@@ -1,8 +1,8 @@
 """The merge of integer counts as one compiled pass, for large frames: the same estimates as `capture.block`.
 
 numpy walks over every sample about fifteen times; here a tile of two rows stays in the first cache from its
-counts to its flags. The machine code is made once and kept on disk by numba, so this module is imported
-only where there is enough to merge to pay for that. All of it stands in one file: numba makes the code anew when
+counts to its flags. The machine code is made once and kept on disk by numba, so this module is imported only
+where there is enough to merge to pay for that. All of it stands in one file: numba makes the code anew when
 this file changes, not when another does that it calls.
 """
 
@@ -18,6 +18,8 @@ from capture.flags import Flag
 from capture.frames import tile
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from capture.block import Outputs, Rules
@@ -40,7 +42,18 @@ _SQUARE, _FLOOR, _LEVER, _CHI, _NUMBER = range(6, 11)
 _END, _SLOPE, _CLIPPED = range(11, 14)
 _FRAMES = 14
 
-_compiled = numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "nsz", "nnan"})
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Compile a function when it is first called; keep the code on disk where there is a place for it."""
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"contract", "nsz", "nnan"},
+    }
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither the installation nor the home can be written
+        return numba.njit(**options)(function)
 
 
 class _Model(NamedTuple):
