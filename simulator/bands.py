@@ -24,7 +24,7 @@ from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 from simulator.line_words import CHANNELS
 from simulator.mounting import PLAIN, Mounting
-from simulator.spectra import Spectrum, read_spectrum
+from analysis.spectra import Spectrum, read_spectrum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

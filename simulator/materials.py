@@ -2,7 +2,7 @@
 
 lambert:kd=0.5                                     a model of `analysis.models`
 cook-torrance:kd=0.1/0.2/0.3,ks=0.5,m=0.2,ior=1.5  slashes separate red, green and blue
-lambert:kd=paint.csv                               a table over wavelength; see `simulator.spectra`
+lambert:kd=paint.csv                               a table over wavelength; see `analysis.spectra`
 mitsuba:roughconductor,alpha=0.2,material=Au       any BSDF of Mitsuba by its name
 bsdf:paint.bsdf                                    a measured BSDF file (Dupuy & Jakob 2018)
 merl:gold-metallic-paint.binary                    a measured file of MERL's (Matusik et al. 2003)
@@ -24,7 +24,7 @@ from simulator.bands import BandedMaterial, SpectralMaterial
 from simulator.bsdfs import PLUGIN, has_lobes
 from simulator.line_words import CHANNELS, Value, hint, numbers, pairs
 from simulator.mounting import PLAIN, Mounting, mounting_of, split_parts
-from simulator.spectra import LIBRARY, SUFFIXES, read_spectrum
+from analysis.spectra import LIBRARY, SUFFIXES, read_spectrum
 from simulator.tables import TABLES, TableMaterial, read_table_material
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from rig.description import Rig, default_rig
 from rig.errors import BadInput
 from simulator.bands import BandedMaterial, SpectralMaterial, instrument_of, seen_through
 from simulator.materials import ClosedFormMaterial, closed_form_material, parse_material
-from simulator.spectra import read_spectrum
+from analysis.spectra import read_spectrum
 
 if TYPE_CHECKING:
     from pathlib import Path
