@@ -84,7 +84,7 @@ _TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
         None,
     ),
 }
-_NEAREST = 3
+_NEAREST = 5
 """Rows of each part that are named where the page tells what is nearest to its target."""
 
 
