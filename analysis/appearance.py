@@ -158,6 +158,13 @@ def lab(linear: Array) -> Array:
     )
 
 
+def encode_srgb(linear: Array) -> Array:
+    """Encode linear sRGB for a display, cut to 0 to 1; IEC 61966-2-1."""
+    from colour import cctf_encoding
+
+    return np.clip(np.asarray(cctf_encoding(np.clip(linear, 0.0, 1.0), "sRGB"), dtype=np.float64), 0.0, 1.0)
+
+
 def ciede2000(first: Array, second: Array) -> Array:
     """Colour difference CIEDE2000 of two sets of Lab colours (K, 3); Sharma, Wu & Dalal 2005, eqs. 2-22."""
     chroma = 0.5 * (np.hypot(first[:, 1], first[:, 2]) + np.hypot(second[:, 1], second[:, 2]))

@@ -23,6 +23,7 @@ from rig.errors import BadInput
 from rig.files import whole_file
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from analysis.spectra import Spectrum
@@ -37,6 +38,9 @@ CHART = "BabelColor Average"
 
 _WHITES = NEUTRAL[:4]
 """Greys that are bright enough to say what a perfect white would read."""
+_NARROW_NM, _BROAD_WIDTH_NM = 5.0, 35.0
+_BROAD_NM = np.array([600.0, 540.0, 460.0])
+"""Of a camera's red, green and blue: enough to tell the order of patches and how even the light is."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """Cone responses of the Bradford transform (Lam 1985)."""
 _NUMBERS = {"white_xyz": (3,), "matrix": (3, 3)}
@@ -77,13 +81,51 @@ class ColourCalibration:
 
     def linear_srgb(self, values: Array) -> Array:
         """Linear sRGB (..., 3) of channels (..., 3), the lamp's white at D65 (Bradford)."""
-        return self.xyz(values) @ self._to_srgb().T
+        return self.xyz(values) @ self.xyz_to_linear_srgb().T
 
-    def _to_srgb(self) -> Array:
+    def xyz_to_linear_srgb(self) -> Array:
+        """Return the matrix (3, 3) from XYZ under the lamp to linear sRGB."""
         display = LINEAR_SRGB_TO_XYZ.sum(axis=1)
         gains = (_BRADFORD @ display) / (_BRADFORD @ self.white_xyz)
         adapted = np.linalg.inv(_BRADFORD) @ (gains[:, None] * _BRADFORD)
         return np.asarray(np.linalg.inv(LINEAR_SRGB_TO_XYZ) @ adapted)
+
+
+def attributes_of(folder: Path, channels: Sequence[str]) -> dict[str, Any]:
+    """Return what samples carry of a calibration, so that XYZ and sRGB can be derived from them anywhere.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the calibrations.
+    channels : sequence of str
+        Of the samples; others than the calibration's have no colour.
+
+    Returns
+    -------
+    dict
+        `xyz_of_channels`, `linear_srgb_of_channels` (9 numbers by rows) and `colour_lamp`; empty without a
+        calibration.
+
+    Raises
+    ------
+    BadInput
+        Its file cannot be used, or is of other channels.
+    """
+    path = folder / COLOUR_FILE
+    if not path.is_file():
+        return {}
+    calibration = load_colour(path)
+    if tuple(channels) != calibration.channels:
+        what = f"is of the channels {', '.join(calibration.channels)}, the samples of {', '.join(channels)}"
+        raise BadInput(
+            what, where=str(path), todo="calibrate the colours of this camera, or take the file away"
+        )
+    return {
+        "xyz_of_channels": calibration.matrix.ravel(),
+        "linear_srgb_of_channels": (calibration.xyz_to_linear_srgb() @ calibration.matrix).ravel(),
+        "colour_lamp": calibration.lamp,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +166,28 @@ def reference_reflectance(nm: Array) -> tuple[list[str], Array]:
         np.interp(nm, each.wavelengths, np.asarray(each.values, dtype=np.float64)) for each in chart.values()
     ]
     return list(chart), np.stack(rows)
+
+
+def typical_response(nm: Array, bands_nm: Sequence[float] = ()) -> Array:
+    """Responses of three channels that nobody has measured, (K, 3), each one's sum 1.
+
+    Parameters
+    ----------
+    nm : ndarray, shape (K,)
+    bands_nm : sequence of three float, optional
+        Narrow bands; by default broad ones as of a camera's red, green and blue.
+
+    Raises
+    ------
+    BadInput
+        A band out of the visible.
+    """
+    for band in bands_nm:
+        if not nm[0] <= band <= nm[-1]:
+            raise BadInput(f"{band:g} nm is not visible", where="--bands-nm", todo="give 400 to 700 nm")
+    centres, width = (np.asarray(bands_nm), _NARROW_NM) if bands_nm else (_BROAD_NM, _BROAD_WIDTH_NM)
+    response = np.exp(-0.5 * np.square((nm[:, None] - centres) / width))
+    return np.asarray(response / response.sum(axis=0))
 
 
 def colours_of(

@@ -76,7 +76,7 @@ class ChartReading:
     centres_px : ndarray, shape (24, 2)
         Column and row of each patch's centre, in pixels of the sensor.
     order : str
-        How the chart lies.
+        How the chart lies in the picture: upright, turned, mirrored.
     agreement : float
         Correlation of the logarithms with the reference, channels each about its mean.
     """
@@ -232,9 +232,18 @@ def _read(picture: Picture, grid: Array, reference: Array) -> ChartReading:
         u_values[order],
         counts[order],
         (centres + 0.5) * picture.px - 0.5,
-        name,
+        _lies(centres),
         agreements[name],
     )
+
+
+def _lies(centres: Array) -> str:
+    """Say how a chart lies, of which the patches' centres (24, 2) are known."""
+    along, down = centres[COLUMNS - 1] - centres[0], centres[-COLUMNS] - centres[0]
+    mirrored = along[0] * down[1] < along[1] * down[0]
+    quarter = 90.0 * np.rint(np.degrees(np.arctan2(along[1], along[0])) / 90.0)
+    turned = f"turned by {abs(quarter):.0f} deg" if quarter else "upright"
+    return f"{turned}, mirrored" if mirrored else turned
 
 
 def _patches(picture: Picture, grid: Array) -> tuple[Array, Array, NDArray[np.intp]]:

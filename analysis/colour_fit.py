@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 DEGREES = (1, 2, 3, 4)
 """Of root polynomials; 1 is the matrix."""
+_PATCHES_PER_TERM = 1.5
+"""With fewer, left-out patches are far from what the others say."""
 _MARGIN = 0.05
 """A higher degree must lower the colour difference of left-out patches by this share."""
 
@@ -149,7 +151,7 @@ def fit_colour(
 def choose_colour(
     values: Array, xyz: Array, white_xyz: Array, degrees: Sequence[int] = DEGREES, *, keep_white: bool = True
 ) -> list[ColourFit]:
-    """Fit every degree; the first is to be used: the lowest that left-out patches do not clearly speak against.
+    """Fit every degree; the first is to be used: the lowest that left-out patches do not speak against.
 
     Parameters, Raises
         As `fit_colour`; degrees with too many terms for the patches are passed over.
@@ -157,7 +159,7 @@ def choose_colour(
     fits = [
         fit_colour(values, xyz, white_xyz, degree, keep_white=keep_white)
         for degree in degrees
-        if len(values) > expanded(np.ones((1, 3)), degree).shape[1]
+        if len(values) >= _PATCHES_PER_TERM * expanded(np.ones((1, 3)), degree).shape[1]
     ]
     if not fits:
         raise BadInput(f"{len(values)} patches are too few", where="the chart", todo="use all of its patches")

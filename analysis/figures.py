@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.appearance import encode_srgb
 from analysis.evaluation import view_angles
 from analysis.style import ACCENT, FAINT, INK, SERIES, channel_colour, figure, to_svg
 
@@ -117,15 +118,12 @@ def _relative_noise_percent(radiance: Float, variance: Float) -> Float:
 
 def _picture(radiance: Float, channel: NDArray[np.intp]) -> Float:
     """Quads of the mosaic as sRGB-encoded picture elements (H/2, W/2, 3), the 99.5th percentile at white."""
-    from colour import cctf_encoding
-
     blocks = _quads(radiance)
     sites = channel[:2, :2].ravel()
     planes = [blocks[..., sites == index].mean(axis=-1) for index in range(int(channel.max()) + 1)]
     linear = np.stack(planes if len(planes) == 3 else planes[:1] * 3, axis=-1)
     scale = np.nanpercentile(linear, 99.5)
-    encoded: Float = np.clip(cctf_encoding(np.clip(linear / max(scale, 1e-300), 0.0, 1.0), "sRGB"), 0.0, 1.0)
-    return encoded
+    return encode_srgb(linear / max(scale, 1e-300))
 
 
 def _draw_flags(axes: Axes, flags: NDArray[np.integer]) -> None:

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.colour_calibration import attributes_of
 from analysis.corrections import Correction, u_linearity_of
 from analysis.measurement import Options, PoseSamples, reduce_pose
 from analysis.samples import make_samples
@@ -124,7 +125,9 @@ def reduce_session(
         mosaic.names,
         options=options,
         source=session.name,
-        provenance=images.provenance() | {"white": reference.name},
+        provenance=images.provenance()
+        | {"white": reference.name}
+        | attributes_of(session.folder / CALIBRATION_FOLDER, mosaic.names),
         u_linearity=u_linearity_of(session.sensor, corrected=straight),
         u_drift=unseen_drift(session.events()) or None,
     )
@@ -158,7 +161,7 @@ def assemble(
     *,
     options: Options,
     source: str = "",
-    provenance: Mapping[str, str] | None = None,
+    provenance: Mapping[str, Any] | None = None,
     u_linearity: float | None = None,
     u_drift: float | None = None,
 ) -> xr.Dataset:
@@ -176,7 +179,7 @@ def assemble(
         How they were reduced, recorded.
     source : str
         Where they come from.
-    provenance : mapping of str to str, optional
+    provenance : mapping of str to attribute, optional
         Hashes and versions, recorded as attributes.
     u_linearity : float, optional
         Relative uncertainty by the sensor's response; None where it is not known.

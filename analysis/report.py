@@ -157,7 +157,7 @@ def _section(number: int, measurement: Measurement) -> str:
     parts = [
         f'<section id="sample-{number}"><h2>{escape(measurement.title)}</h2>',
         sections.facts(measurement.facts),
-        sections.parameters(measurement) if measurement.fits else "",
+        sections.parameters(measurement) + sections.colours(measurement) if measurement.fits else "",
         sections.coverage(measurement.samples),
         sections.frame(measurement.frame) if measurement.frame is not None else "",
         sections.lobes(measurement),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis import figures
+from analysis.appearance import encode_srgb
 from analysis.budget import budget
 from analysis.style import data_uri
 from analysis.table import Row, parameter_rows, rounded
@@ -54,6 +55,14 @@ def facts(items: Mapping[str, str]) -> str:
     return f'<dl class="facts">{listed}</dl>'
 
 
+def doubts(said: Sequence[str]) -> str:
+    """List what a person should know before believing a page; nothing where there is nothing."""
+    if not said:
+        return ""
+    items = "".join(f"<li>{escape(doubt)}</li>" for doubt in said)
+    return f"<section><h2>Before you believe it</h2><ul>{items}</ul></section>"
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str = "") -> str:
     """Set a table; cells are HTML, a row whose first cell is not empty begins a group."""
     header = "".join(f"<th>{cell}</th>" for cell in head)
@@ -97,6 +106,32 @@ def parameters(measurement: Measurement) -> str:
         )
     pair = f'<div class="pair"><div>{"".join(tables)}</div>{sphere}</div>'
     return f"<h3>Parameters</h3>{pair}{_metrics_table(measurement.fits)}"
+
+
+def colours(measurement: Measurement) -> str:
+    """Set the colours of all fits as a spectrophotometer of 45 deg to normal sees them (CIE 15:2004)."""
+    if "xyz_of_channels" not in measurement.samples.attrs or not measurement.fits:
+        return ""
+    to_xyz, to_srgb = (
+        np.reshape(measurement.samples.attrs[name], (3, 3))
+        for name in ("xyz_of_channels", "linear_srgb_of_channels")
+    )
+    wi, wo = np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]]), np.array([[0.0, 0.0, 1.0]])
+    rows = []
+    for fitted in measurement.fits[:SHOWN_MODELS]:
+        factor = np.pi * fitted.model.evaluate(wi, wo)[0]
+        shown = encode_srgb(to_srgb @ factor)
+        swatch = "#" + "".join(f"{round(255.0 * value):02x}" for value in shown)
+        rows.append(
+            [
+                escape(fitted.model.NAME),
+                *(number(value, ".4f") for value in to_xyz @ factor),
+                f'<span style="background:{swatch}">&emsp;&emsp;</span> {swatch}',
+            ]
+        )
+    lamp = escape(str(measurement.samples.attrs["colour_lamp"]))
+    caption = f"Reflectance factor lit at 45°, seen from the normal, under {lamp}; a perfect white has Y = 1."
+    return f"<h3>Colour</h3>{table(['', 'X', 'Y', 'Z', 'sRGB'], rows, caption=caption)}"
 
 
 def _parameter_table(

@@ -59,7 +59,7 @@ def write_sensor_page(
     """
     template = Template(files("analysis").joinpath("report.html").read_text(encoding="utf-8"))
     parts = [
-        _doubts(doubts),
+        sections.doubts(doubts),
         _data_sheet(quantities(character)),
         _channels(character),
         _transfer(character),
@@ -92,13 +92,6 @@ def _facts(character: SensorCharacter, model: SensorModel) -> dict[str, str]:
         "How": model.note,
     }
     return {name: text for name, text in stated.items() if text}
-
-
-def _doubts(doubts: Sequence[str]) -> str:
-    if not doubts:
-        return ""
-    items = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
-    return f"<section><h2>Before you believe it</h2><ul>{items}</ul></section>"
 
 
 def _data_sheet(items: Sequence[Quantity]) -> str:

@@ -23,6 +23,7 @@ from capture.bracket import merge_bracket
 from capture.merge import Flag
 
 if TYPE_CHECKING:
+    from analysis.colour_chart import ChartReading
     from capture.bracket import BracketMerge
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "flea3"
@@ -35,6 +36,59 @@ def bracket(scene: str, band_nm: int, *, truncated: bool = True) -> BracketMerge
     files = sorted((DATA / scene).glob(f"*_{band_nm}nm_*"))
     darks = sorted((DATA / "dark").glob(f"{SCENES[scene]}_*"))
     return merge_bracket(files, dark_files=darks, truncated=truncated)
+
+
+def chart_in_bands(data: Path) -> tuple[ChartReading, list[ChartReading], np.ndarray]:
+    """Read the ColorChecker in all bands at once and in each by itself, with what it should read (24, 3)."""
+    from analysis.colour_calibration import VISIBLE_NM, reference_reflectance, typical_response
+    from analysis.colour_chart import Picture, picture_of, read_chart
+
+    bad = int(Flag.OVER_RANGE | Flag.HOT)
+    planes = []
+    for band_nm in BANDS_NM:
+        files = sorted((data / "colorchecker").glob(f"*_{band_nm}nm_*"))
+        darks = sorted((data / "dark").glob("d2_*"))
+        merged = merge_bracket(files, dark_files=darks, truncated=True).merged
+        planes.append(
+            picture_of(
+                merged.radiance.astype(np.float64), merged.flags, np.zeros((2, 2), dtype=np.int64), 1, bad
+            )
+        )
+    values, usable = (
+        np.concatenate([getattr(each, name) for each in planes], axis=-1) for name in ("values", "usable")
+    )
+    _, reflectance = reference_reflectance(VISIBLE_NM)
+    expected = reflectance @ typical_response(VISIBLE_NM, BANDS_NM)
+    alone = [read_chart(each, expected[:, c : c + 1]) for c, each in enumerate(planes)]
+    return read_chart(Picture(values, usable, planes[0].px), expected), alone, expected
+
+
+def _of_chart() -> list[dict[str, Any]]:
+    from scipy.stats import spearmanr
+
+    from analysis.colour_chart import levelled
+
+    reading, alone, expected = chart_in_bands(DATA)
+    level, slopes = levelled(reading.values, expected)
+    rows = [
+        row(
+            "ColorChecker: agreement of its order with the reference",
+            reading.agreement,
+            "",
+            0.95,
+            at_least=True,
+        )
+    ]
+    for channel, band_nm in enumerate(BANDS_NM):
+        name = f"ColorChecker, {band_nm} nm"
+        ranks = float(spearmanr(level[:, channel], expected[:, channel]).statistic)
+        apart = np.abs(alone[channel].values[:, 0] / reading.values[:, channel] - 1.0)
+        rows += [
+            row(f"{name}: uneven light along it", 100.0 * float(slopes[0, channel]), "%"),
+            row(f"{name}: rank correlation with the reference", ranks, "", 0.98, at_least=True),
+            row(f"{name}: found alone, patches apart, median", 100.0 * float(np.median(apart)), "%", 1.0),
+        ]
+    return rows
 
 
 def run(plots: Path | None) -> list[dict[str, Any]]:
@@ -62,6 +116,7 @@ def run(plots: Path | None) -> list[dict[str, Any]]:
             if band_nm == 550 and scene == "disks":
                 shifts = beside_clipped(merged)
                 rows += _of_shifts(name, shifts)
+    rows += _of_chart()
     if plots is not None and shifts:
         _plot(plots / "flea3.png", shifts)
     return rows

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capture.merge import Flag
+from rig.errors import BadInput
 from rig.files import whole_file
 
 if TYPE_CHECKING:
@@ -69,6 +74,62 @@ def write_radiance(
             files=np.asarray(files),
             **maps,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRadiance:
+    """What `write_radiance` wrote, as far as a picture needs it.
+
+    Attributes
+    ----------
+    radiance : ndarray, shape (H, W)
+        DN/s.
+    variance : ndarray, shape (H, W)
+        (DN/s)^2.
+    flags : ndarray of uint8, shape (H, W)
+        `Flag` bits.
+    cfa : ndarray of int, shape (2, 2)
+    channels : tuple of str
+    """
+
+    radiance: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    cfa: NDArray[np.int64]
+    channels: tuple[str, ...]
+
+
+def read_radiance(path: str | os.PathLike[str]) -> StoredRadiance:
+    """Read a merge back.
+
+    Raises
+    ------
+    BadInput
+        It is missing, damaged, or no merge.
+    """
+    todo = "give a file of gonio merge --out"
+    try:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            radiance, variance, flags, cfa, channels = (
+                archive[name] for name in ("radiance", "variance", "flags", "cfa", "channels")
+            )
+    except OSError as error:
+        what = f"cannot read: {error.strerror or 'it is no .npz'}"
+        raise BadInput(what, where=str(path), todo=todo) from None
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise BadInput("no merge, or a damaged one", where=str(path), todo=todo) from None
+    names = tuple(str(name) for name in np.atleast_1d(channels))
+    shapes = {radiance.shape, variance.shape, flags.shape}
+    if (
+        radiance.ndim != 2
+        or len(shapes) != 1
+        or cfa.shape != (2, 2)
+        or not set(cfa.ravel().tolist()) <= set(range(len(names)))
+        or flags.dtype != np.uint8
+    ):
+        raise BadInput("arrays that do not belong together", where=str(path), todo=todo)
+    radiance, variance = radiance.astype(np.float64), variance.astype(np.float64)
+    return StoredRadiance(radiance, variance, flags, cfa.astype(np.int64), names)
 
 
 def preview(merged: Merged, cfa: NDArray[np.int64], channels: Sequence[str]) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Calibrate parts of the machine: its sensor, its white.
+"""Calibrate parts of the machine: its sensor, its white, its colours.
 
 sensor  bias, dark current, hot pixels, gain and read noise (photon transfer), linearity, clip level of each
         channel, from frames of the white and of the dark that the machine shoots itself, or from a folder of
@@ -8,10 +8,14 @@ white   the plate's certificate (--certificate: lines of nm, 8 deg/hemispherical
         uncertainty) and measured reflectance factors (--points: lines of source zenith and azimuth, view
         zenith and azimuth, factors), which narrow its shape; without a calibration the shape is a generic
         one with a large uncertainty
+colour  a ColorChecker in merged pictures (.npz of gonio merge): one of a colour camera, or three of one
+        camera in three bands (--bands-nm). The chart is found, or given by --corners; a matrix to XYZ is
+        fitted, and root polynomials beside it, judged by patches that were left out. With --sensitivities and
+        --lit-by patches are also compared with what the camera should read, and their spectra estimated
 
-The result replaces calibration/sensor.toml or white.toml beside the rig file. Of a sensor, frames, maps,
-data sheet (JSON) and a page stay in a dated folder there. A frame of another camera or ISO, or a dark frame
-with light in it, is named, and nothing is replaced.
+The result replaces calibration/sensor.toml, white.toml or colour.toml beside the rig file. Of a sensor,
+frames, maps, data sheet (JSON) and a page stay in a dated folder there, of colours the page. A frame of
+another camera or ISO, or a dark frame with light in it, is named, and nothing is replaced.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gonio.colour import add_colour_options, calibrate_colour, wavelengths
 from gonio.commands.rig import add_rig_options, load_rig_options
 from gonio.mounting import add_mounted_option, machine_wishes, mounted_roles
 from gonio.output import add_json_option, at_work, print_json, say
@@ -41,7 +46,7 @@ ROLES = ("white",)
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="sensor|white")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="sensor|white|colour")
     text = "gain, noise, clip level, linearity, hot pixels"
     sensor = actions.add_parser("sensor", help=text, description=text)
     add_rig_options(sensor)
@@ -66,7 +71,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="effective wavelength of each channel; without, the certificate's mean over 400 to 700 nm",
     )
     white.add_argument("--name", metavar="TEXT", help="the plate's name")
-    for action in (sensor, white):
+    text = "matrix from the camera's channels to XYZ, from a picture of a chart"
+    colour = actions.add_parser("colour", help=text, description=text)
+    add_colour_options(colour)
+    for action in (sensor, white, colour):
         action.add_argument(
             "--out",
             type=Path,
@@ -78,7 +86,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate: 0 when the calibration is written, else as for every command; 130 after Ctrl-C."""
-    return _white(options) if options.action == "white" else _sensor(options)
+    return {"white": _white, "sensor": _sensor, "colour": calibrate_colour}[options.action](options)
 
 
 def _white(options: argparse.Namespace) -> int:
@@ -95,7 +103,7 @@ def _white(options: argparse.Namespace) -> int:
     calibration = WhiteCalibration(
         certificate=read_certificate(options.certificate) if options.certificate else None,
         points=read_points(options.points, options.points_nm) if options.points else None,
-        channel_nm=_wavelengths(options.channel_nm),
+        channel_nm=wavelengths(options.channel_nm, "--channel-nm"),
         name=options.name,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
     )
@@ -128,24 +136,6 @@ def _white(options: argparse.Namespace) -> int:
     print(f"45/0 factor over it              {shown}, from {facts['points']} points")
     print(facts["calibration"])
     return 0
-
-
-def _wavelengths(text: str) -> tuple[float, ...]:
-    """Read wavelengths separated by commas.
-
-    Raises
-    ------
-    BadInput
-        A word that is no positive number.
-    """
-    try:
-        values = tuple(float(word) for word in text.split(",") if word.strip())
-    except ValueError:
-        values = (math.nan,)
-    if not all(math.isfinite(value) and value > 0.0 for value in values):
-        todo = "write it such as 600,540,460"
-        raise BadInput(f"cannot read {text!r}", where="--channel-nm", todo=todo)
-    return values
 
 
 def _sensor(options: argparse.Namespace) -> int:
