@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.spectra import Spectrum, read_spectrum
 from rig.angles import spherical_to_direction
 from rig.errors import BadInput
 from simulator.line_words import CHANNELS
 from simulator.mounting import PLAIN, Mounting
-from analysis.spectra import Spectrum, read_spectrum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

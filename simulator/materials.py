@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.spectra import LIBRARY, SUFFIXES, read_spectrum
 from rig.errors import BadInput
 from simulator.bands import BandedMaterial, SpectralMaterial
 from simulator.bsdfs import PLUGIN, has_lobes
 from simulator.line_words import CHANNELS, Value, hint, numbers, pairs
 from simulator.mounting import PLAIN, Mounting, mounting_of, split_parts
-from analysis.spectra import LIBRARY, SUFFIXES, read_spectrum
 from simulator.tables import TABLES, TableMaterial, read_table_material
 
 if TYPE_CHECKING:

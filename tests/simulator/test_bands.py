@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from analysis.models import MODELS
+from analysis.spectra import read_spectrum
 from rig.angles import spherical_to_direction
 from rig.description import Rig, default_rig
 from rig.errors import BadInput
 from simulator.bands import BandedMaterial, SpectralMaterial, instrument_of, seen_through
 from simulator.materials import ClosedFormMaterial, closed_form_material, parse_material
-from analysis.spectra import read_spectrum
 
 if TYPE_CHECKING:
     from pathlib import Path
