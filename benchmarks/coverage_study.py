@@ -95,10 +95,11 @@ class Bench:
         short = CAMERA_STEP ** math.floor(math.log(BRIGHTEST / brightest, CAMERA_STEP))
         times = [time for time in (short, short * BRACKET) if time <= self.rig.camera.longest_exposure_s]
         frames = [self.sensor.expose(radiance, time, self.rng) for time in times]
-        merged = merge(frames, times, dark=self._dark(times), sensor=self.model)
+        merged = merge(frames, times, dark=self.dark(times), sensor=self.model)
         return Image(merged.radiance, merged.variance, merged.flags, measured_rad)
 
-    def _dark(self, times: list[float]) -> DarkModel:
+    def dark(self, times: list[float]) -> DarkModel:
+        """Return what is dark at these exposures, of frames shot once for each."""
         key = times[0]
         if key not in self.darks:
             exposures = [time for time in times for _ in range(DARKS_PER_EXPOSURE)]

@@ -3,7 +3,8 @@
 The parts can be run alone: imaging_merge (error against light, beside the Cramer-Rao bound), imaging_ratios
 (exposure times that are wrong), imaging_flea3 (a real camera), imaging_peers (other programs' merges),
 imaging_speed (time and memory), imaging_sensor (a sensor from its own frames), imaging_exposure (brackets),
-imaging_coverage (intervals of drawn sessions), imaging_corrections (drift, stray light, flat field, bend).
+imaging_coverage (intervals of drawn sessions), imaging_sessions (of rendered ones), imaging_corrections
+(drift, stray light, flat field, bend).
 `benchmarks/imaging_page.py` sets what they print into docs/accuracy.md.
 """
 
@@ -26,6 +27,7 @@ EXPECTED_S = {
     "imaging_sensor": 120.0,
     "imaging_exposure": 60.0,
     "imaging_coverage": 300.0,
+    "imaging_sessions": 40.0,
     "imaging_corrections": 60.0,
 }
 """Modules beside this one, and the seconds that each takes on a quiet machine."""

@@ -36,7 +36,8 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     ),
     "imaging_flea3": (
         "A real camera",
-        "Flea3, seven exposures, darks of the day: samples of 60 to 240 DN (of 255) against the merge. "
+        "Flea3, seven exposures, darks of the day: samples of 60 to 240 DN (of 255) against the merge; and "
+        "its ColorChecker, found in all bands and in each. "
         "Pixels beside clipped ones read low on this CCD: such samples are left out, and the figure shows "
         "what they would have done to the merge. Where the other frames hold a few counts only (they tell "
         "less than 2 %) they are used, and flagged: the low bias stays there, as the smaller error. The "
@@ -72,6 +73,13 @@ TITLES: dict[str, tuple[str, str, tuple[str, str] | None]] = {
     "imaging_coverage": (
         "Coverage of the stated intervals",
         "Sessions drawn at the reduction level, with systematic errors drawn anew for each.",
+        None,
+    ),
+    "imaging_sessions": (
+        "Coverage over rendered frames",
+        "Frames of the twin's light and sensor, merged and reduced by the program; materials, poses, the "
+        "joints' true angles, the white's albedo and evenness, the lamp's output and its photodiode's error "
+        "drawn anew for each session.",
         None,
     ),
 }
