@@ -55,6 +55,7 @@ NAMES = {
     "linearity": "linearity of the sensor",
     "stray": "stray light",
     "flat": "flat field",
+    "distortion": "lens distortion",
     "drift": "drift that references found",
 }
 _CLASSES = {
@@ -64,6 +65,7 @@ _CLASSES = {
     "linearity": Correlation.CALIBRATION,
     "stray": Correlation.SESSION,
     "flat": Correlation.CALIBRATION,
+    "distortion": Correlation.CALIBRATION,
     "drift": Correlation.SESSION,
 }
 

@@ -1,4 +1,4 @@
-"""What a reduction takes out of the images besides noise: flat field, stray light, lamp drift, linearity.
+"""What a reduction takes out of the images besides noise: flat field, stray light, lamp drift, the lens.
 
 Each correction has a name, a column of the uncertainty and a switch. One that is switched off leaves its
 whole effect in f_r, as an error of unknown part: the column is then as large as the effect.
@@ -50,6 +50,9 @@ class Correction(StrEnum):
 
     LAMP_DRIFT = "lamp-drift"
     """The lamp's light between white and sample, by its photodiode. Column u_lamp."""
+
+    LENS_DISTORTION = "lens-distortion"
+    """The lens model of the rig file, where it has one, for the directions of pixels. Column u_distortion."""
 
     LINEARITY = "linearity"
     """The sensor's bent response, where its calibration has found one. Column u_linearity."""

@@ -30,6 +30,7 @@ from analysis.corrections import (
     stray_light,
     u_stray_of,
 )
+from analysis.lens import is_bent, straight_lens, u_distortion_of
 from capture.merge import Flag
 from rig.pixels import irradiance, pixel_direction_derivatives, pixel_geometry
 
@@ -160,6 +161,8 @@ class PoseSamples:
         bin's size, the lamp's drift between white and sample, the flat field.
     u_stray : (N, C) float or None
         The stray light's; None where no light trap told of it.
+    u_distortion : (N, C) float or None
+        The lens's; None where the rig file gives it no distortion.
     dropped : (N, C) int
         Bits of `analysis.binning.Dropped`.
     bin_index : (N,) int
@@ -182,6 +185,7 @@ class PoseSamples:
     u_lamp: Float
     u_flat: Float
     u_stray: Float | None
+    u_distortion: Float | None
     dropped: Int
     bin_index: Int
     d_wi: Float
@@ -224,6 +228,9 @@ def reduce_pose(
         The bins that have a value in at least one channel.
     """
     options = options or Options()
+    lens, straight = rig, options.corrects(Correction.LENS_DISTORTION)
+    if not straight:
+        rig = straight_lens(rig)
     sample, white = images.sample, images.white
     height, width = sample.radiance.shape
     bins = make_bins(height, width, options.bin_px)
@@ -252,6 +259,9 @@ def reduce_pose(
         stray_f = stray_as_f(stray, pixels, mosaic)
         corrected = options.corrects(Correction.STRAY_LIGHT)
         u_stray = u_stray_of(ratio, rho, stray, stray_f, corrected=corrected)
+    u_distortion = None
+    if is_bent(lens):
+        u_distortion = u_distortion_of(lens, binned.ratio, bins, options.bin_px, corrected=straight)[kept]
     return PoseSamples(
         wi=wi,
         wo=wo,
@@ -263,6 +273,7 @@ def reduce_pose(
         u_lamp=np.abs(ratio) * u_drift,
         u_flat=np.abs(ratio) * u_flat,
         u_stray=u_stray,
+        u_distortion=u_distortion,
         dropped=binned.dropped[kept],
         bin_index=kept,
         d_wi=d_wi[kept],

@@ -222,6 +222,7 @@ def assemble(
         u_linearity=None if u_linearity is None else np.abs(joined("f_r")) * u_linearity,
         u_drift=None if u_drift is None else np.abs(joined("f_r")) * u_drift,
         u_stray=None if any(part.u_stray is None for part in parts) else joined("u_stray"),
+        u_distortion=None if any(part.u_distortion is None for part in parts) else joined("u_distortion"),
         u_flat=joined("u_flat"),
         flat_group=joined("bin_index"),
         white_group=white * bins + joined("bin_index"),

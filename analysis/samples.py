@@ -18,6 +18,7 @@ u_lamp          sample, channel    1/sr  one error for each pose and all channel
 u_linearity     sample, channel    1/sr  one error for the session and all channels: bent response
 u_stray         sample, channel    1/sr  one error for the session and all channels: stray light
 u_flat          sample, channel    1/sr  one error in each `flat_group`, all channels: flat field
+u_distortion    sample, channel    1/sr  one error in each `flat_group`, all channels: lens distortion
 u_drift         sample, channel    1/sr  one error for the session: drift that only references found
 flat_group      sample             1     number of the group: a place in the picture
 u_repeatability sample, channel    1/sr  what repeats of the measurement differ by; no weight of fits
@@ -69,6 +70,7 @@ UNITS = {
     "u_linearity": "1/sr",
     "u_stray": "1/sr",
     "u_flat": "1/sr",
+    "u_distortion": "1/sr",
     "u_drift": "1/sr",
     "u_repeatability": "1/sr",
     "white_group": "1",

@@ -4,9 +4,9 @@ An error of size u that n samples share does not average out over them. Each col
 noise and binning belong to one sample and channel; the white's noise to all samples that were divided by the
 same white pixels; the lamp's drift between white and sample to all samples and channels of one pose; the
 white's reflectance, the sensor's bent response, the stray light's rest and unseen drift to the whole session
-and all channels; the white plate's unevenness to all samples of one place in the picture; a joint's angle to
-all samples and channels of one pose, or of all poses that hold the joint at the same encoder step. (GUM, JCGM
-100:2008, section 5.2: correlated input quantities.)
+and all channels; the white plate's unevenness and the lens to all samples of one place in the picture; a
+joint's angle to all samples and channels of one pose, or of all poses that hold the joint at the same encoder
+step. (GUM, JCGM 100:2008, section 5.2: correlated input quantities.)
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ IN_F = (
     "u_linearity",
     "u_stray",
     "u_flat",
+    "u_distortion",
     "u_drift",
 )
 """Columns in 1/sr: the ones that u_f_r is the quadrature of."""
@@ -109,6 +110,7 @@ def shared_in_f(samples: xr.Dataset) -> list[SharedError]:
         *((name, None) for name in COMMON),
         ("lamp", "pose"),
         ("flat", "flat_group"),
+        ("distortion", "flat_group"),
     ):
         column = f"u_{name}"
         if column in samples and (by is None or by in samples):

@@ -162,6 +162,12 @@ class Camera(Part):
     distortion: tuple[float, float, float, float, float] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0), description="OpenCV's k1, k2, p1, p2, k3, without unit"
     )
+    u_distortion_px: float = Field(
+        0.1,
+        ge=0,
+        le=1000,
+        description="standard uncertainty of the lens model, pixels, where it bends",
+    )
     aperture_diameter_mm: float = Field(10.0, gt=0, le=1000, description="entrance pupil, above 0 to 1000 mm")
     focus_distance_mm: float = Field(
         0.0, ge=0, le=1e6, description="entrance pupil to the plane in focus, up to 1e6 mm; 0: the sample's"

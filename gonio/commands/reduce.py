@@ -15,10 +15,11 @@ averages them, their repeatability is told, and no uncertainty is stated below i
 
 Corrections, each with a column of the uncertainty; --without NAME leaves one out, and states its whole effect
 as uncertainty instead. The samples record what was left out (option_without).
-  flat-field   u_flat       lens, vignetting, pixels: the white divides pixel by pixel; else by its mean
-  stray-light  u_stray      the light trap's pictures are subtracted, where the plan asked for them
-  lamp-drift   u_lamp       the lamp's light between white and sample, by its photodiode
-  linearity    u_linearity  the sensor's bent response, where its calibration has found one
+  flat-field       u_flat        lens, vignetting, pixels: the white divides pixel by pixel; else by its mean
+  stray-light      u_stray       the light trap's pictures are subtracted, where the plan asked for them
+  lamp-drift       u_lamp        the lamp's light between white and sample, by its photodiode
+  lens-distortion  u_distortion  the rig file's lens model gives each pixel its direction
+  linearity        u_linearity   the sensor's bent response, where its calibration has found one
 
 The JSON object: session, out, without, poses, samples, channels, dropped: {reason: values},
 pixels: {flag: pixels}; with --recipe: files, blank, recipe, steps, out, samples, flagged, repeatability,
