@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.uncertainty import quadrature, shared_by_pose
+from analysis.uncertainty import COMMON, IN_F, quadrature, shared_by_pose
 from rig.angles import half_difference
 
 if TYPE_CHECKING:
@@ -94,7 +94,10 @@ def evaluate_fit(samples: xr.Dataset, model: Model) -> Evaluation:
     poses = shared_by_pose(samples, model)
     if poses:
         columns["pose"] = quadrature(*(error.column for error in poses))
-    scatter = [columns[name] for name in ("noise", "white", "binning", "pose") if name in columns]
+    # What all samples have in common moves the fit as a whole and scatters nothing.
+    own = [name for name in IN_F if name in samples and name.removeprefix("u_") not in COMMON]
+    scatter = [samples[name].to_numpy() for name in own]
+    scatter += [columns["pose"]] if poses else []
     if not scatter and "u_f_r" in samples:
         scatter = [samples["u_f_r"].to_numpy()]
     total = quadrature(np.zeros(measured.shape), *scatter)

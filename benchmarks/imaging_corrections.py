@@ -95,15 +95,19 @@ def _of_twin(drift: float) -> Iterator[dict[str, Any]]:
             }
             white = truth / session.rig.white.rho
     error = {left: _worst(samples, white) for left, samples in tables.items()}
-    lines = {line.name: line.of_sample for line in budget(tables[()])}
+    stated = {
+        left: {line.name: line.of_sample for line in budget(samples)} for left, samples in tables.items()
+    }
     yield row(f"{name}: white references shot again", references)
     yield row(f"{name}, 1 % stray light: error, all corrected", 100 * error[()], "%", 100 * TARGET)
     if drift:
         yield row(f"{name}: error, lamp drift left in", 100 * error[(Correction.LAMP_DRIFT,)], "%")
-        yield row(f"{name}: stated of the lamp", 100 * lines["drift of the lamp"], "%")
+        yield row(
+            f"{name}: stated of the lamp", 100 * stated[(Correction.LAMP_DRIFT,)]["drift of the lamp"], "%"
+        )
         return
     yield row("1 % stray light: error, left in", 100 * error[(Correction.STRAY_LIGHT,)], "%")
-    yield row("1 % stray light: stated of it", 100 * lines["stray light"], "%")
+    yield row("1 % stray light: stated of it", 100 * stated[(Correction.STRAY_LIGHT,)]["stray light"], "%")
 
 
 def _of_frames(
