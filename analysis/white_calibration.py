@@ -30,6 +30,9 @@ WHITE_FILE = "white.toml"
 VISIBLE_NM = (400.0, 700.0)
 """Over these the certificate is averaged for channels of unknown wavelength; its spread is uncertainty."""
 
+U_CENTRE_NM = 10.0
+"""Standard uncertainty of an effective wavelength: it moves with the lamp and the sample's colour."""
+
 _LARGEST_FILE = 4_000_000
 _LISTS = (
     "certificate_nm",
@@ -73,6 +76,18 @@ class Certificate:
             what = f"the certificate covers {self.nm[0]:g} to {self.nm[-1]:g} nm, not {nm:g} nm"
             raise BadInput(what, where="channel_nm", todo="give wavelengths within it")
         return float(np.interp(nm, self.nm, self.rho)), float(np.interp(nm, self.nm, self.u))
+
+    def of_band(self, nm: float) -> tuple[float, float]:
+        """Reflectance and uncertainty in a channel, whose effective wavelength is known to some nm itself.
+
+        Raises
+        ------
+        BadInput
+            The certificate does not reach it.
+        """
+        rho, u = self.at(nm)
+        below, above = np.interp([nm - U_CENTRE_NM, nm + U_CENTRE_NM], self.nm, self.rho)
+        return rho, math.hypot(u, 0.5 * float(above - below))
 
     def visible(self) -> tuple[float, float]:
         """Mean over the visible; its uncertainty holds the spread."""
@@ -153,7 +168,7 @@ class WhiteCalibration:
         if len(self.channel_nm) != channels:
             what = f"{len(self.channel_nm)} wavelengths for {channels} channels"
             raise BadInput(what, where="channel_nm", todo="give one for each channel of the camera")
-        pairs = [self.certificate.at(nm) for nm in self.channel_nm]
+        pairs = [self.certificate.of_band(nm) for nm in self.channel_nm]
         return np.array([rho for rho, _ in pairs]), np.array([u for _, u in pairs])
 
 

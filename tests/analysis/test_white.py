@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from analysis.white import LambertianWhite, PlateWhite, white_of
-from analysis.white_calibration import Certificate, Points, WhiteCalibration, load_white, save_white
+from analysis.white_calibration import (
+    U_CENTRE_NM,
+    Certificate,
+    Points,
+    WhiteCalibration,
+    load_white,
+    save_white,
+)
 from analysis.white_files import read_certificate, read_points
 from analysis.white_shape import CERTIFICATE_RAD, PtfeShape, chandrasekhar_h, volume_factor
 from rig.angles import spherical_to_direction
@@ -143,6 +150,16 @@ def test_certificate_is_read_and_interpolated(shared_data: Path) -> None:
     assert len(certificate.nm) > 2000
     with pytest.raises(BadInput, match="not 200 nm"):
         certificate.at(200.0)
+
+
+def test_a_steep_certificate_is_less_certain_in_a_band() -> None:
+    """A band's centre taken as if it were known to the nanometre."""
+    nm = np.arange(400.0, 701.0, 10.0)
+    flat, steep = (
+        Certificate(nm, 0.9 + slope * (nm - 550.0), np.full(nm.size, 0.003)) for slope in (0.0, 4e-4)
+    )
+    assert flat.of_band(550.0) == flat.at(550.0)
+    assert steep.of_band(550.0) == pytest.approx((0.9, np.hypot(0.003, 4e-4 * U_CENTRE_NM)))
 
 
 def test_bands_of_points_are_told_apart(shared_data: Path) -> None:
